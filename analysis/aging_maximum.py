@@ -22,7 +22,7 @@ from rich.progress import track
 from scipy import optimize
 
 from eqsim import Aging, Drive, Ensemble, Gamma, Thermal, reference, steady, z_score
-from eqsim.io import style
+from eqsim.plots import style
 
 MODELS = ("annealed", "flow", "langevin")
 RATES = (1.0, 0.1, 0.01)

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from eqsim import Drive, Ensemble, Thermal, reference, steady, trajectory, transient
-from eqsim.io import style
+from eqsim.plots import style
 
 OUT = Path(__file__).parent / "figures" / "friction.png"
 TEMPERATURES = (0.02, 0.2, 1.0)  # kT in k x_*^2

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from rich.progress import track
 
 from eqsim import Drive, Ensemble, Thermal, reference
-from eqsim.io import style
+from eqsim.plots import style
 
 
 def table(points: int) -> pd.DataFrame:

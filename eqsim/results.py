@@ -15,7 +15,8 @@ from eqsim.numerics.tables import Array
 # anew. Libraries have no part in it: with other releases of these the same random
 # numbers are drawn, and `tests/test_portable.py` would notice if they were not.
 RESULTS_VERSION = 1
-_FEW = 50  # points of a curve that are marked
+_MARKED = 50  # points of a curve up to which each is marked
+_ALONG = {"t": "time  $t$", "X": "displacement  $X$"}
 
 
 class Drawn(NamedTuple):
@@ -40,12 +41,9 @@ class Result:
 
     def columns(self) -> dict[str, Array]:
         """Its arrays of one length by name."""
-        named = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
-        return {
-            name: value
-            for name, value in named.items()
-            if isinstance(value, np.ndarray) and value.ndim == 1
-        }
+        every = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+        arrays = {name: x for name, x in every.items() if isinstance(x, np.ndarray)}
+        return {name: x for name, x in arrays.items() if x.ndim == 1}
 
     def estimates(self, *, brief: bool = False) -> dict[str, Any]:
         """Its single numbers with error bars by name, also of the parts that have some;
@@ -93,75 +91,55 @@ class Result:
         ValueError
             If `x` is none of its columns.
         """
-        if self.drawn is None:
+        name, drawn = type(self).__name__, self.drawn
+        if drawn is None:
             raise TypeError(
-                f"{type(self).__name__} has no picture; to_pandas() has its numbers in a table"
+                f"{name} has no picture; to_pandas() has its numbers in a table"
             )
-        if x and x not in self.columns():
-            raise ValueError(
-                f"x = {x!r}: must be a column of {type(self).__name__}: {', '.join(self.columns())}"
-            )
+        columns = self.columns()
+        if x and x not in columns:
+            known = ", ".join(columns)
+            raise ValueError(f"x = {x!r}: must be a column of {name}: {known}")
         if axes is None:
             axes = new_axes()
-            axes.set(
-                xlabel=_with_symbol(self.drawn.x_label),
-                ylabel=_with_symbol(self.drawn.y_label),
-            )
-            if x and x != self.drawn.x:
-                axes.set_xlabel(
-                    {"t": "time  $t$", "X": "displacement  $X$"}.get(
-                        x, x.replace("_", " ")
-                    )
-                )
+            label = _with_symbol(drawn.x_label)
+            if x and x != drawn.x:
+                label = _ALONG.get(x, x.replace("_", " "))
+            axes.set(xlabel=label, ylabel=_with_symbol(drawn.y_label))
             axes.ticklabel_format(useOffset=False)
-            if self.drawn.log:
+            if drawn.log:
                 axes.set_xscale("log")
-        along, y = (getattr(self, name) for name in (x or self.drawn.x, self.drawn.y))
-        order = (
-            np.argsort(along, kind="stable") if self.drawn.log else slice(None)
-        )  # velocities come in any order
+        along, y = getattr(self, x or drawn.x), getattr(self, drawn.y)
+        error = getattr(self, drawn.error) if drawn.error else None
         look: dict[str, Any] = {"linewidth": 1.2}
-        if self.drawn.dots:
+        if drawn.dots:
             look = {"linestyle": "", "marker": ".", "markersize": 2}
-        elif along.size <= _FEW:
+        elif along.size <= _MARKED:
             look |= {"marker": "."}
-        (line,) = axes.plot(along[order], y[order], **{**look, **style})
-        if self.drawn.error:
-            low, high = (
-                y + sign * 2 * getattr(self, self.drawn.error) for sign in (-1, 1)
-            )
-            axes.fill_between(
-                along[order],
-                low[order],
-                high[order],
-                color=line.get_color(),
-                alpha=0.25,
-                linewidth=0,
-            )
+        # velocities come in any order
+        order = np.argsort(along, kind="stable") if drawn.log else slice(None)
+        if error is None:
+            axes.plot(along[order], y[order], **{**look, **style})
+        else:
+            draw_band(axes, along[order], y[order], 2 * error[order], **look | style)
         if "label" in style:
             axes.legend()
         return axes
 
     def _said(self) -> list[str]:
         """What the text of it says."""
-        known = {
-            name: estimate
-            for name, estimate in self.estimates(brief=True).items()
-            if estimate.value is not None
-        }
         said = [
             f"{name} {' '.join(str(estimate).split())}"
-            for name, estimate in known.items()
+            for name, estimate in self.estimates(brief=True).items()
+            if estimate.value is not None
         ]
         if self.drawn is None:
             return said
-        (x, y), points = (
-            ((name, getattr(self, name)) for name in self.drawn[:2]),
-            getattr(self, self.drawn.x).size,
-        )
+        curve = {name: getattr(self, name) for name in self.drawn[:2]}
+        points = curve[self.drawn.x].size
         ranges = [
             f"{name} {values.min():.5g} to {values.max():.5g}"
-            for name, values in (x, y)
+            for name, values in curve.items()
             if points
         ]
         return [f"{points} points", *ranges, *said]
@@ -176,14 +154,10 @@ class Result:
             f"<tr><th>{escape(name)}</th><td>{escape(str(estimate))}</td></tr>"
             for name, estimate in self.estimates(brief=True).items()
         )
-        shown = f"<b>{escape(type(self).__name__)}</b>" + (
-            f"<table>{rows}</table>" if rows else ""
-        )
-        return (
-            shown
-            if self.drawn is None
-            else shown + self.to_pandas().to_html(max_rows=6)
-        )
+        shown = f"<b>{escape(type(self).__name__)}</b>"
+        shown += f"<table>{rows}</table>" if rows else ""
+        table = "" if self.drawn is None else self.to_pandas().to_html(max_rows=6)
+        return shown + table
 
 
 def new_axes(**size: Any) -> Any:
@@ -195,54 +169,17 @@ def new_axes(**size: Any) -> Any:
     return axes
 
 
+def draw_band(axes: Any, x: Array, y: Array, error: Array, **line: Any) -> Any:
+    """Draw a curve with a band of an error to either side; both, for a legend."""
+    (curve,) = axes.plot(x, y, **line)
+    look = {"color": curve.get_color(), "alpha": 0.3, "linewidth": 0}
+    return axes.fill_between(x, y - error, y + error, **look), curve
+
+
 def _with_symbol(label: str) -> str:
     """A label of an axis, with what follows two spaces set as mathematics."""
     words, _, symbol = label.partition("  ")
     if not symbol:
         return words
-    return (
-        f"{words}  $" + symbol.replace("<", r"\langle ").replace(">", r" \rangle") + "$"
-    )
-
-
-class OfTrajectory:
-    """A result of a run `file` that is shown by its `trajectory`, and drawn with the
-    `exact` mean, if there is one, which is a result or None and why."""
-
-    file: Any
-    trajectory: Any
-    exact: Any = (None, "")
-
-    @property
-    def folder(self) -> Any:
-        """The folder in which paths in the run file start."""
-        return self.file.folder
-
-    def to_pandas(self) -> Any:
-        """A DataFrame of the trajectory."""
-        return self.trajectory.to_pandas()
-
-    def plot(self, axes: Any = None, **style: Any) -> Any:
-        """Draw the trajectory, and on it the exact mean; arguments are those of
-        `Result.plot`."""
-        drawn, given = self.trajectory.drawn, axes
-        axes = self.trajectory.plot(axes, **{"label": "simulated contacts", **style})
-        if given is None:
-            axes.set(**self.file.labels(drawn.x))
-        if self.exact[0] is not None:
-            axes.plot(
-                getattr(self.exact[0], drawn.x),
-                self.exact[0].force,
-                "k:",
-                linewidth=1,
-                label="exact mean",
-            )
-            axes.legend()
-        return axes
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.trajectory!r})"
-
-    def _repr_html_(self) -> str:
-        shown: str = self.trajectory._repr_html_()
-        return shown
+    symbol = symbol.replace("<", r"\langle ").replace(">", r" \rangle")
+    return f"{words}  ${symbol}$"

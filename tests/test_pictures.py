@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 from eqsim import load
 from eqsim.cli.app import app
 from eqsim.estimate import OBSERVABLES
-from eqsim.io import labels, style
-from eqsim.io.plots import curve_picture
+from eqsim.io import labels
 from eqsim.io.runfile import keys
 from eqsim.io.units import Units
+from eqsim.plots import style
 from eqsim.workflows.curve import curve
 from eqsim.workflows.run import run
 
@@ -139,8 +139,8 @@ def test_exact_curves(tmp_path):
         if label == "time":
             path.write_text(steps)
         file = load(path, changes)
-        columns = curve(file)
-        figure = curve_picture(file, path.stem, columns)
+        found = curve(file)
+        columns, figure = found.columns, found.figures(path.stem)["transient"]
         labels = [axes.get_ylabel() for axes in figure.axes]
         assert labels[0] == "friction  $F / (N k)$\n[$x_*$]"
         (line,) = figure.axes[0].lines

@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 from eqsim import load
 from eqsim.cli.app import app
-from eqsim.io.style import COLORS, saved
-from eqsim.io.sweep_plots import Sweep, read_sweep, select, sweep_figure
+from eqsim.plots.style import COLORS, saved
+from eqsim.plots.sweeps import Sweep, read_sweep, select, sweep_figure
 from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked
 from eqsim.sweeps.store import Store

@@ -537,6 +537,9 @@ class Deadly(futures.Executor):
         return future
 
 
+SILENT = (lambda *_: None,) * 2
+
+
 class Pool:
     lost, threads = (futures.BrokenExecutor,), 1
 
@@ -557,7 +560,7 @@ def test_a_point_that_kills_its_workers_is_found_out(small, tmp_path, poisonous)
     plan = plan_of(GRID)
     store = Store(tmp_path, plan, Asked())
     pool = Pool(seed_of(plan.ids[4]) if poisonous else -1, 0.1 if poisonous else 0.2)
-    Scheduler(store, pool, Asked(), None, lambda _: None).run(list(range(12)))
+    Scheduler(store, pool, Asked(), *SILENT).run(list(range(12)))
     store.compact()
     store.close()
     found, exact = table_of(tmp_path).to_pandas(), table_of(small / "one").to_pandas()
@@ -578,7 +581,7 @@ def test_workers_that_never_live_end_the_sweep(tmp_path):
     store = Store(tmp_path, plan, Asked())
     pool = Pool(-1, 1.0)
     with pytest.raises(InputError, match="as soon as they start"):
-        Scheduler(store, pool, Asked(), None, lambda _: None).run(list(range(12)))
+        Scheduler(store, pool, Asked(), *SILENT).run(list(range(12)))
     assert pool.renewed == 12  # four times as many in a row as a point may cost
     store.close()
 
@@ -599,7 +602,7 @@ def test_workers_that_die_now_and_then_do_not_end_the_sweep(tmp_path):
         return submit(work, tasks)
 
     pool.executor.submit = frail
-    Scheduler(store, pool, Asked(), None, lambda _: None).run(list(range(24)))
+    Scheduler(store, pool, Asked(), *SILENT).run(list(range(24)))
     assert pool.renewed > 12
     assert set(store.compact()["status"].to_pylist()) == {"ok"}
     store.close()

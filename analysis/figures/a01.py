@@ -6,9 +6,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from eqsim import Ensemble, Thermal
-from eqsim.io.style import VERMILION
 from eqsim.master.closed_forms import Published
 from eqsim.paper import numbered, printed
+from eqsim.plots.style import VERMILION
 
 from .common import (
     ANNEALED,

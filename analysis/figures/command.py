@@ -7,7 +7,7 @@ from typer import Argument, Option
 
 from eqsim.cli.app import new_app, register
 from eqsim.cli.check import report_replay
-from eqsim.cli.options import Processes, Shown, cores
+from eqsim.cli.options import Processes, Shown, Z, cores
 from eqsim.errors import require_integer
 from eqsim.io import signals
 from eqsim.paper import ARTICLE, FIGURES, figure
@@ -85,4 +85,4 @@ def figures(
 
 
 app = new_app()
-register(app, figures)
+register(app, figures, Z)

@@ -10,8 +10,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from eqsim import Aging, Delay, Ensemble, Gamma, Thermal
-from eqsim.io.style import BLUE, GREEN, ORANGE, VERMILION
-from eqsim.io.style import STYLE as HOUSE
+from eqsim.plots.style import BLUE, GREEN, ORANGE, VERMILION
+from eqsim.plots.style import STYLE as HOUSE
 
 WIDTH = 7.0  # inches, of a figure across two columns
 STYLE = HOUSE | {

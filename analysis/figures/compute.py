@@ -19,8 +19,9 @@ from scipy import stats
 
 from eqsim import Drive, Estimate, reference, steady, z_score
 from eqsim.errors import require_choice
-from eqsim.io import storage, style
+from eqsim.io import storage
 from eqsim.paper import FIGURES
+from eqsim.plots import style
 from eqsim.sweeps.workers import Workers
 
 from .common import STYLE, Curve

@@ -4,16 +4,20 @@ import io
 import os
 import sys
 from collections.abc import Callable
+from importlib.metadata import version
 from typing import Annotated, Any, NoReturn, cast
 
 import typer
 from rich.markup import escape
 from typer.core import TyperGroup
 
-from eqsim.cli import check, describe, fit, fluctuations, simulate, stability, survey
-from eqsim.cli.options import WORDS, complain, grouped, typed
+from eqsim.cli import check, describe, fit, simulate, survey
+from eqsim.cli.options import ERROR, STDERR, Z, complain, grouped, typed
 from eqsim.errors import InputError, shown
 from eqsim.io import signals
+
+# Any error of usage: typer has no name for it.
+_UsageError = cast(type[typer.BadParameter], typer.BadParameter.__base__)
 
 
 class _Commands(TyperGroup):
@@ -21,23 +25,17 @@ class _Commands(TyperGroup):
     for Ctrl-C, 143 for SIGTERM."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
+        kwargs |= {"prog_name": "eqsim", "standalone_mode": False}
         try:
-            code = super().main(
-                *args, **{**kwargs, "prog_name": "eqsim", "standalone_mode": False}
-            )
-        except cast(
-            type[typer.BadParameter], typer.BadParameter.__base__
-        ) as error:  # any error of usage
+            code = super().main(*args, **kwargs)
+        except _UsageError as error:
             said = error.format_message().removesuffix(".")
-            for problem in getattr(
-                error.__cause__, "errors", list
-            )():  # typer's, which do not tell the value
-                said = said.replace(
-                    "Input should be", f"{shown(problem['input'])} must be"
-                )
-            complain(
-                f"{said}; see `{error.ctx.command_path if error.ctx else 'eqsim'} --help`"
-            )
+            # typer's, which do not tell the value
+            for problem in getattr(error.__cause__, "errors", list)():
+                must = f"{shown(problem['input'])} must be"
+                said = said.replace("Input should be", must)
+            command = error.ctx.command_path if error.ctx else "eqsim"
+            complain(f"{said}; see `{command} --help`")
             code = 2
         except SystemExit as error:  # rich's, if the reader has left
             if not isinstance(error.__context__, BrokenPipeError):
@@ -55,10 +53,8 @@ class _Commands(TyperGroup):
             _fail(typed(str(error)), 2)
         except MemoryError:
             _fail("not enough memory; fewer output.points need less", 2)
-        except BrokenPipeError:
-            os.dup2(
-                os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-            )  # the reader has left; nothing to say
+        except BrokenPipeError:  # the reader has left; nothing to say
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         except KeyboardInterrupt as stop:
             said = f"interrupted; {stop}" if str(stop) else signals.MESSAGE
             _fail(said, signals.acknowledge())
@@ -71,20 +67,16 @@ def _fail(message: str, code: int) -> NoReturn:
 
 def _version(asked: bool) -> None:
     if asked:
-        from importlib.metadata import version
-
         print(f"eqsim {version('eqsim')}")
         raise typer.Exit
 
 
-def _top(
-    version: Annotated[
-        bool,
-        typer.Option(
-            "--version", callback=_version, is_eager=True, help="Show the version."
-        ),
-    ] = False,
-) -> None:
+_Version = typer.Option(
+    "--version", callback=_version, is_eager=True, help="Show the version."
+)
+
+
+def _top(version: Annotated[bool, _Version] = False) -> None:
     """What belongs to no command."""
 
 
@@ -101,30 +93,28 @@ def new_app() -> typer.Typer:
     return made
 
 
-def register(app: typer.Typer, command: Callable[..., None], **settings: Any) -> None:
-    """Make a function a command."""
-    words = WORDS.get(command.__name__, ())
+def register(
+    app: typer.Typer, command: Callable[..., None], *words: str, **settings: Any
+) -> None:
+    """Make a function a command, whose help ends with what `words` of its output mean."""
     app.command(epilog=escape("\n\n".join(words)), **settings)(grouped(command))
 
 
 app = new_app()
-for command in (
-    simulate.run,
-    simulate.steady,
-    simulate.reference,
-    fluctuations.fluctuations,
-    stability.stability,
-    check.validate,
-    survey.sweep,
-    fit.fit,
-    fit.design,
-    describe.info,
-    survey.plot,
-    check.replay,
-    check.export,
-    describe.material,
-):
-    register(app, command)
+register(app, simulate.run, Z, STDERR, simulate.PEAK)
+register(app, simulate.steady, Z, STDERR)
+register(app, simulate.reference, ERROR, simulate.F_K)
+register(app, simulate.fluctuations)
+register(app, simulate.stability)
+register(app, check.validate, Z)
+register(app, survey.sweep, survey.COLUMNS, STDERR, ERROR, Z)
+register(app, fit.fit)
+register(app, fit.design)
+register(app, describe.info)
+register(app, survey.plot)
+register(app, check.replay)
+register(app, check.export)
+register(app, describe.material)
 # it says where figures are made, whatever is asked for
 _ANY_OPTION = {"ignore_unknown_options": True}
 register(app, survey.figures, context_settings=_ANY_OPTION)
@@ -133,8 +123,6 @@ register(app, survey.figures, context_settings=_ANY_OPTION)
 def main() -> None:
     """Run the command line. Raises SystemExit."""
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(
-                errors="backslashreplace"
-            )  # of names that the terminal cannot show
+        if isinstance(stream, io.TextIOWrapper):  # names that it cannot show are spelt
+            stream.reconfigure(errors="backslashreplace")
     app(sys.argv[1:] or ["--help"])

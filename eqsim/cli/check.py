@@ -1,34 +1,34 @@
 """Commands that check and hand on results: validate, replay, export."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 from typer import Argument, Exit, Option
 
 from eqsim.cli.options import Shown, Threads, cores
 from eqsim.errors import InputError, require_integer
+from eqsim.io import storage
+from eqsim.lazy import lazily
 
-if TYPE_CHECKING:
-    from eqsim.validation.verdict import Verdict
-    from eqsim.workflows.replay import Repeat, Replay
+with lazily():
+    from eqsim.io import export as tables
+    from eqsim.workflows import replay as repeating
+    from eqsim.workflows import validation
 
-_OUT = Path("runs/out/validation")
+_SUITE = '"quick" (seconds) or "full" (minutes).'
+_OUT = "Folder for the table of scores and the picture."
+_SEED = "Random seed: other parameter points, other lives."
+_TABLE = "Parquet file, or the folder of a run, sweep or fit."
 _CSV = "Of several tables their folder. Default: NAME.csv beside NAME.parquet, DIR.csv beside the folder of a sweep."
 
 
 def validate(
-    suite: Annotated[
-        str, Argument(help='"quick" (seconds) or "full" (minutes).')
-    ] = "quick",
-    out: Annotated[
-        Path, Option(help="Folder for the table of scores and the picture.")
-    ] = _OUT,
-    seed: Annotated[
-        int, Option(help="Random seed: other parameter points, other lives.")
-    ] = 1,
+    suite: Annotated[str, Argument(help=_SUITE)] = "quick",
+    out: Annotated[Path, Option(help=_OUT)] = Path("runs/out/validation"),
+    seed: Annotated[int, Option(help=_SEED)] = 1,
     threads: Threads = None,
     *,
     shown: Shown,
@@ -42,65 +42,12 @@ def validate(
     """
     require_integer("--seed", seed, 0, 2**63 - 1)
     count = cores(threads)
-    from eqsim import validation
-    from eqsim.io import storage
-    from eqsim.io.plots import validation_figure
-    from eqsim.io.style import saved
-
     storage.check_folder(out)
     with shown.bar("validating", "points") as progress:
-        result = validation.validate(suite, seed=seed, threads=count, progress=progress)
-    absent = validation.left_out(result.unscored)
-    refused = {
-        (validation.law_text(one.ensemble.thresholds), one.message)
-        for one in result.unscored
-        if one.message
-    }
-    summary = {
-        "suite": suite,
-        "seed": seed,
-        "passed": result.passed,
-        "verdicts": [asdict(verdict) for verdict in result.verdicts],
-        "declined": result.declined,
-        "left_out": absent,
-        "refused": sorted(refused),
-        "versions": storage.versions(),
-    }
-    table = storage.parquet(
-        validation.columns(result.scores),
-        storage.provenance("validate", {"suite": suite}, "", seed),
-    )
-    files = {
-        "scores.parquet": table,
-        "validation.png": saved(validation_figure(result)),
-    }
-    storage.publish(out, {**files, "summary.json": storage.to_json(summary).encode()})
-    reasons = [
-        f"{sum(of.get(reason, 0) for of in absent.values())} {reason}"
-        for reason in validation.REASONS
-    ]
-    shown.report(
-        summary,
-        title=f"suite {suite}: {len(result.scores)} comparisons, each p must exceed {validation.ALARM:g}",
-        columns=("kind", "scores", "chi-square", "p", "largest |z|", "p (of so many)", "verdict"),
-        rows=[_verdict_row(v, v.kind in result.declined) for v in result.verdicts],
-        notes=["left out: " + ", ".join(reasons), f"{out}/: scores.parquet, summary.json, validation.png"],
-    )  # fmt: skip
-    if not result.passed:
+        result = validation.validated(suite, seed, count, progress)
+    shown.result(result, suite, out)
+    if not result.found.passed:
         raise Exit(1)
-
-
-def _verdict_row(v: "Verdict", declined: bool) -> tuple[str, ...]:
-    passed = "passed" if v.passed and not declined else "FAILED"
-    chi_square = f"{v.chi_square:.1f}/{v.even}", f"{v.p_chi_square:.2g}"
-    return (
-        v.kind,
-        str(v.count),
-        *chi_square,
-        f"{v.largest:.2f}",
-        f"{v.p_largest:.2g}",
-        passed,
-    )
 
 
 def replay(
@@ -116,24 +63,19 @@ def replay(
     report_replay(path, cores(threads), shown)
 
 
-def report_replay(
-    path: Path,
-    workers: int,
-    shown: Shown,
-    others: "Mapping[str, Repeat] | None" = None,
-) -> None:
+def report_replay(path: Path, workers: int, shown: Shown, others: Any = None) -> None:
     """Replay a table and say where the two differ; `others` repeat what programs beside
-    this one have written. Raises Exit if they differ."""
-    from eqsim.workflows.replay import replay as repeat
-
+    this one have written (`workflows.replay`). Raises Exit if they differ."""
     with shown.bar("repeating", "units") as progress:
-        found = repeat(path, workers=workers, progress=progress, others=others)
+        found = repeating.replay(
+            path, workers=workers, progress=progress, others=others
+        )
     shown.report({**asdict(found), "same": found.same}, notes=_compared(path, found))
     if not found.same:
         raise Exit(1)
 
 
-def _compared(path: Path, found: "Replay") -> Iterator[str]:
+def _compared(path: Path, found: "repeating.Replay") -> Iterator[str]:
     for name, (then, now) in found.versions.items():
         yield f"{name} was {then}, is {now}"
     if found.same:
@@ -144,39 +86,29 @@ def _compared(path: Path, found: "Replay") -> Iterator[str]:
 
 
 def export(
-    path: Annotated[
-        Path,
-        Argument(
-            metavar="PATH", help="Parquet file, or the folder of a run, sweep or fit."
-        ),
-    ],
+    path: Annotated[Path, Argument(metavar="PATH", help=_TABLE)],
     out: Annotated[Path | None, Option(metavar="FILE.csv", help=_CSV)] = None,
     *,
     shown: Shown,
 ) -> None:
     """Tables as CSV; comment lines hold the run file and what columns mean:
     pandas.read_csv(FILE, comment="#")."""
-    from eqsim.io import export as tables
-    from eqsim.io import storage
-
     found = tables.tables(path)
     first = next(iter(found.values()))[0]
     sweep = tables.sweep_of(first)
     dataset = sweep or first.parent
-    alone = len(found) == 1 and out is not None and not out.is_dir()
-    folder = (
-        out.parent
-        if alone and out
-        else out or (dataset.absolute().parent if sweep else dataset)
-    )
+    alone = out if out and len(found) == 1 and not out.is_dir() else None
+    beside = dataset.absolute().parent if sweep else dataset
+    folder = alone.parent if alone else out or beside
     if sweep and folder.resolve().is_relative_to(dataset.resolve()):
         raise InputError(
             f"--out {out}: must be outside {dataset}, where everything is read as points"
         )
     storage.check_folder(folder)
-    names = {name: out.name if alone and out else f"{name}.csv" for name in found}
-    storage.publish(
-        folder, {names[name]: tables.as_csv(files) for name, files in found.items()}
-    )
-    written = [os.path.relpath(folder / name) for name in names.values()]
+    files = {
+        alone.name if alone else f"{name}.csv": tables.as_csv(parts)
+        for name, parts in found.items()
+    }
+    storage.publish(folder, files)
+    written = [os.path.relpath(folder / name) for name in files]
     shown.report({"files": written}, notes=written)

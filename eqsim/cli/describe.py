@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import Annotated, Any
 
 from typer import Argument, Option
 
@@ -10,16 +10,23 @@ from eqsim.cli.options import Changes, RunFilePath, Shown, Threads, cores
 from eqsim.errors import InputError, require_choice
 from eqsim.errors import shown as short
 from eqsim.io import terminal
+from eqsim.lazy import lazily
 from eqsim.paper import NOTE
 
-if TYPE_CHECKING:
-    from eqsim.materials import Material
-    from eqsim.model.ensemble import Disorder
+with lazily():
+    from eqsim import materials
+    from eqsim.engine import trajectory
+    from eqsim.io import runfile, units
+    from eqsim.model import groups
 
-_NAME = '"steel", "octamethylcyclotetrasiloxane" ("omcts"), or MINE.toml, a file of constants.'
+_PRESETS = '"steel", "octamethylcyclotetrasiloxane" ("omcts")'
+_NAME = f"{_PRESETS}, or MINE.toml, a file of constants."
 _CONSTANT = "Change a constant, or give those of a material of kind rough or islands; repeatable."
 _KELVIN = "Kelvin. Default: 289.7, kT = 4e-21 J as in the paper."
 _VELOCITY = "Of the run file, m/s. Default: v_* at 289.7 K, at any temperature."
+_DISORDER = 'Of the run file. Default: "quenched".'
+_NO_WALLS = "no elastic correlation length a^2 E/k: E of the walls is not given"
+_Set = Option("--set", metavar="KEY=VALUE", help=_CONSTANT)
 
 
 def info(
@@ -29,15 +36,9 @@ def info(
     file = changes.load(path)
     cores(threads)
     ensemble, drive = file.ensemble, file.drive
-    from eqsim.engine.trajectory import predicted_lives
-    from eqsim.io.units import scales
-    from eqsim.model.groups import groups
-
-    found, lives = (
-        groups(ensemble, drive),
-        predicted_lives(ensemble, drive, file.output.replicas),
-    )
-    found += scales(ensemble, file.units, file.interface)
+    found = groups.groups(ensemble, drive)
+    lives = trajectory.predicted_lives(ensemble, drive, file.output.replicas)
+    found += units.scales(ensemble, file.units, file.interface)
     shown.doubt(ensemble, drive)
     rows = [
         (g.name, g.value if isinstance(g.value, str) else f"{g.value:.6g}", g.meaning)
@@ -56,75 +57,54 @@ def material(
     name: Annotated[str, Argument(metavar="NAME", help=_NAME)],
     temperature: Annotated[float | None, Option(help=_KELVIN)] = None,
     toml: Annotated[bool, Option("--toml", help="Print a run file instead.")] = False,
-    disorder: Annotated[
-        str | None, Option(help='Of the run file. Default: "quenched".')
-    ] = None,
+    disorder: Annotated[str | None, Option(help=_DISORDER)] = None,
     velocity: Annotated[float | None, Option(help=_VELOCITY)] = None,
-    set_: Annotated[
-        list[str] | None, Option("--set", metavar="KEY=VALUE", help=_CONSTANT)
-    ] = None,
+    set_: Annotated[list[str] | None, _Set] = None,
     *,
     shown: Shown,
 ) -> None:
     """SI parameters of a real interface, from its material constants."""
-    from eqsim.materials import ROOM_TEMPERATURE, parameters, run_file_text
-
-    found = _material(
-        name, {key: value for key, (value, _) in Changes(set_).given().items()}
-    )
-    kelvin = ROOM_TEMPERATURE if temperature is None else temperature
+    changes = {key: value for key, (value, _) in Changes(set_).given().items()}
+    found = _material(name, changes)
+    kelvin = materials.ROOM_TEMPERATURE if temperature is None else temperature
     if toml:
         if shown.json:
             raise InputError(
                 "--toml: prints a run file; it cannot be asked for with --json"
             )
-        require_choice(
-            "--disorder", kind := disorder or "quenched", ("quenched", "annealed")
-        )
-        text = run_file_text(found, kelvin, velocity, disorder=cast("Disorder", kind))
+        kind: Any = disorder or "quenched"
+        require_choice("--disorder", kind, ("quenched", "annealed"))
+        text = materials.run_file_text(found, kelvin, velocity, disorder=kind)
         shown.report(None, notes=[text.removesuffix("\n")])
         return
     for option, value in (("--disorder", disorder), ("--velocity", velocity)):
         if value is not None:
             raise InputError(f"{option} {value}: is of the run file that --toml prints")
-    rows = parameters(found, kelvin)
+    rows = materials.parameters(found, kelvin)
     shown.report(
         {row.name: row.value for row in rows},
         title=f"{found.name} at {kelvin:.4g} K",
         columns=("", "value", "unit", "meaning"),
         rows=[(row.name, f"{row.value:.5g}", row.unit, row.meaning) for row in rows],
-        notes=[
-            *(
-                []
-                if found.elastic_length
-                else [
-                    "no elastic correlation length a^2 E/k: E of the walls is not given"
-                ]
-            ),
-            NOTE,
-        ],
+        notes=[*([] if found.elastic_length else [_NO_WALLS]), NOTE],
     )
 
 
-def _material(name: str, changes: dict[str, Any]) -> "Material":
+def _material(name: str, changes: dict[str, Any]) -> "materials.Material":
     """A preset, the material of a TOML file, or one that is all in the `changes`.
     Raises InputError."""
-    from eqsim.io.runfile import read_toml
-    from eqsim.materials import KINDS, constants_of, from_constants, preset
-
-    known = preset(name)
+    known = materials.preset(name)
     if known is not None:
-        constants = constants_of(known)
-        constants["name"] = ", ".join(
-            [known.name, *(f"{key} = {value}" for key, value in changes.items())]
-        )
-    elif name.lower() in KINDS:
+        constants = materials.constants_of(known)
+        changed = [f"{key} = {value}" for key, value in changes.items()]
+        constants["name"] = ", ".join([known.name, *changed])
+    elif name.lower() in materials.KINDS:
         constants = {"kind": name.lower()}
     elif name.lower().endswith(".toml") or os.path.lexists(name):
-        _, constants = read_toml(Path(name))
+        _, constants = runfile.read_toml(Path(name))
     else:
-        kinds = " or ".join(f'"{kind}"' for kind in KINDS)
-        known_names = '"steel", "octamethylcyclotetrasiloxane" ("omcts"), a TOML file of constants'
+        kinds = " or ".join(f'"{kind}"' for kind in materials.KINDS)
+        known_names = f"{_PRESETS}, a TOML file of constants"
         raise InputError(
             f"NAME = {short(name)}: must be {known_names}, or {kinds} with all of them as --set KEY=VALUE"
         )
@@ -136,4 +116,4 @@ def _material(name: str, changes: dict[str, Any]) -> "Material":
             if not isinstance(place, dict):
                 raise InputError(f"{key}: {section} is not a section")
         place[last] = value
-    return from_constants(constants, Path(name).stem)
+    return materials.from_constants(constants, Path(name).stem)

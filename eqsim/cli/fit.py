@@ -3,16 +3,22 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from typer import Exit, Option
 
 from eqsim.cli.options import Changes, Processes, RunFilePath, Shown, cores
 from eqsim.errors import InputError, require_integer, require_package
+from eqsim.io import storage
+from eqsim.lazy import lazily
 
-if TYPE_CHECKING:
-    from eqsim.fitting.design import Design, Limits
+with lazily():
+    from eqsim.fitting import design as designing
+    from eqsim.fitting import fit as fitting
+    from eqsim.fitting import posterior, report
+    from eqsim.io import runfile
 
+_OUT = "Folder for fit.json, tables, pictures and the best fit's run file."
 _ALLOW = "Fit also what the data cannot separate, with a warning."
 _VELOCITY = (
     "Within these limits. Default: up to ten times beyond the velocities of the data."
@@ -25,16 +31,23 @@ _POSTERIOR = (
     "Draw from the posterior, too: posterior.parquet and a picture. "
     "Needs eqsim[posterior]."
 )
+_Data = Option(metavar="DATA.csv", help="Measurements, instead of fit.data.")
+_Fitted = Option("--fit", metavar="DIR", help="Folder of the fit.", show_default=False)
+_Key = Option(
+    "--for", metavar="KEY", help="The key to be known better.", show_default=False
+)
+_Next = Option("--next", help="How many measurements, one after the other.")
+_EXPECTED = (
+    "expected by the Fisher information at the best fit, for errors like those of the "
+    "data"
+)
 
 
 @dataclass(frozen=True)
 class FitOptions:
     """How a fit is made."""
 
-    data: Annotated[
-        Path | None,
-        Option(metavar="DATA.csv", help="Measurements, instead of fit.data."),
-    ] = None
+    data: Annotated[Path | None, _Data] = None
     starts: Annotated[int, Option(help="Points from which least squares begin.")] = 8
     compare: Annotated[Path | None, Option(metavar="OTHER.toml", help=_COMPARE)] = None
     posterior: Annotated[bool, Option("--posterior", help=_POSTERIOR)] = False
@@ -43,12 +56,7 @@ class FitOptions:
 
 def fit(
     path: RunFilePath,
-    out: Annotated[
-        Path,
-        Option(
-            help="Folder for fit.json, tables, pictures and the best fit's run file."
-        ),
-    ],
+    out: Annotated[Path, Option(help=_OUT)],
     options: FitOptions,
     changes: Changes,
     workers: Processes = None,
@@ -63,16 +71,10 @@ def fit(
     count = cores() if workers is None else workers
     require_integer("--workers", count, 1, 1024)
     require_integer("--starts", options.starts, 1, 1000)
-    from eqsim.fitting import fit as fitting
-    from eqsim.fitting import report
-    from eqsim.fitting.posterior import posterior
-    from eqsim.io.runfile import load
-    from eqsim.io.storage import check_folder
-
-    check_folder(out)
+    storage.check_folder(out)
     if options.posterior:
         require_package("posterior", "emcee", "corner")
-    other = None if options.compare is None else load(options.compare)
+    other = None if options.compare is None else runfile.load(options.compare)
     with shown.bar("fitting", "fits") as progress:
         found = fitting.fit(
             file,
@@ -90,7 +92,7 @@ def fit(
     lines, sampled = list(report.remarks(found)), None
     if options.posterior:
         with shown.bar("drawing", "steps") as progress:
-            sampled = posterior(found, workers=count, progress=progress)
+            sampled = posterior.posterior(found, workers=count, progress=progress)
         files += report.write_posterior(found, sampled, out, path.stem)
         lines += report.drawn(sampled)
     data = report.summary(found, sampled)
@@ -112,31 +114,16 @@ def fit(
 class DesignOptions:
     """What measurements are sought."""
 
-    fitted: Annotated[
-        Path,
-        Option("--fit", metavar="DIR", help="Folder of the fit.", show_default=False),
-    ]
-    key: Annotated[
-        str,
-        Option(
-            "--for",
-            metavar="KEY",
-            help="The key to be known better.",
-            show_default=False,
-        ),
-    ]
-    count: Annotated[
-        int, Option("--next", help="How many measurements, one after the other.")
-    ] = 4
+    fitted: Annotated[Path, _Fitted]
+    key: Annotated[str, _Key]
+    count: Annotated[int, _Next] = 4
     velocity: Annotated[str | None, Option(metavar="LOW,HIGH", help=_VELOCITY)] = None
     temperature: Annotated[
         str | None, Option(metavar="LOW,HIGH", help=_TEMPERATURE)
     ] = None
 
-    def limits(self, name: str) -> "Limits | None":
+    def limits(self, name: str) -> "designing.Limits | None":
         """The ends of an option that is a range."""
-        from eqsim.fitting.design import Limits
-
         text = getattr(self, name)
         if text is None:
             return None
@@ -146,7 +133,7 @@ class DesignOptions:
             raise InputError(
                 f"--{name} {text}: must be two numbers, LOW,HIGH"
             ) from None
-        return Limits(low, high)
+        return designing.Limits(low, high)
 
 
 def design(
@@ -156,8 +143,6 @@ def design(
     well it would be known after."""
     file = changes.load(path)
     require_integer("--next", options.count, 1, 1000)
-    from eqsim.fitting import design as designing
-
     limits = options.limits("velocity"), options.limits("temperature")
     found = designing.design(file, options.fitted, options.key, options.count, *limits)
     name = file.title or path.stem
@@ -166,14 +151,11 @@ def design(
         title=f"{name}: the next measurements of friction for {options.key}",
         columns=("", "velocity", "temperature", f"expected sd of {found.variable}"),
         rows=_steps(found),
-        notes=[
-            "expected by the Fisher information at the best fit, for errors like those "
-            "of the data"
-        ],
+        notes=[_EXPECTED],
     )
 
 
-def _steps(found: "Design") -> Iterator[tuple[str, str, str, str]]:
+def _steps(found: "designing.Design") -> Iterator[tuple[str, str, str, str]]:
     """The rows of the table."""
     yield "now", "", "", f"{found.now:.3g}"
     for number, step in enumerate(found.steps, 1):

@@ -11,18 +11,19 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import Annotated, Any, get_args
 
 from rich.markup import escape
 from typer import Argument, BadParameter, Option
 
 from eqsim.errors import InputError, require_choice, require_integer
-from eqsim.io import terminal
+from eqsim.io import storage, terminal
+from eqsim.lazy import lazily
 
-if TYPE_CHECKING:
-    from eqsim.io.runfile import RunFile
-    from eqsim.model.drive import Drive, Programme
-    from eqsim.model.ensemble import Ensemble
+with lazily():
+    from eqsim.io import runfile
+    from eqsim.model import groups
+    from eqsim.workflows import report as results
 
 RunFilePath = Annotated[
     Path, Argument(metavar="RUN.toml", help="Run file.", show_default=False)
@@ -63,9 +64,7 @@ class Changes:
         """Value and option by key."""
         changes: dict[str, tuple[Any, str]] = {}
         for item in self.set_ or []:
-            if not item.isascii() and any(
-                "\ud800" <= c <= "\udfff" for c in item
-            ):  # bytes that are no UTF-8
+            if any("\ud800" <= c <= "\udfff" for c in item):  # bytes of no text
                 raise InputError(f"--set {item}: is not text in UTF-8")
             key, equals, text = item.partition("=")
             if not equals or not all(map(str.strip, key.split("."))):
@@ -74,21 +73,17 @@ class Changes:
                 parsed = tomllib.loads(f"value = {text}")
             except (ValueError, RecursionError):
                 parsed = {}
-            changes[key.strip()] = (
-                parsed["value"] if len(parsed) == 1 else text,
-                f"--set {item}",
-            )
+            value = parsed["value"] if len(parsed) == 1 else text
+            changes[key.strip()] = value, f"--set {item}"
         if self.seed is not None:
             require_integer("--seed", self.seed, 0, 2**63 - 1)
             changes["output.seed"] = self.seed, "--seed"
         return changes
 
-    def load(self, path: Path) -> "RunFile":
+    def load(self, path: Path) -> "runfile.RunFile":
         """The run file with its changes."""
         changes = {key: value for key, (value, _) in self.given().items()}
-        from eqsim.io.runfile import load
-
-        return load(path, changes)
+        return runfile.load(path, changes)
 
 
 @dataclass(frozen=True)
@@ -109,36 +104,35 @@ class Shown:
         if not (self.quiet or self.json):
             print(line)
 
-    def doubt(
-        self, ensemble: "Ensemble", drive: "Drive | Programme | None" = None
-    ) -> None:
+    def doubt(self, ensemble: Any, drive: Any = None) -> None:
         """Warn, on standard error, of numbers that are hardly meant."""
-        from eqsim.model.groups import doubts
-
-        for line in doubts(ensemble, drive) if not self.quiet else ():
+        for line in groups.doubts(ensemble, drive) if not self.quiet else ():
             complain(f"warning: {line}")
 
     def report(self, data: Any, **more: Any) -> None:
         """The result, as in `terminal.Report`."""
         terminal.Report(data, **more).show(self.json, self.quiet)
 
+    def result(
+        self,
+        found: "results.FileResult",
+        name: str,
+        out: Path | None = None,
+        formats: tuple[str, ...] = ("png",),
+    ) -> None:
+        """A result, titled `name` if it has no title; its files go to `out`, if given."""
+        more = []
+        if out is not None:
+            files = found.files(name, formats)
+            storage.publish(out, files)
+            more = [f"{out}/: {found.written(list(files))}"]
+        found.report(name, *more).show(self.json, self.quiet)
 
-_Z = "z: difference from the expected value in standard errors, both errors in quadrature."
-_STDERR = "stderr: statistical standard error, of a value simulated."
-_ERROR = "error: bound of the error of a numerical solution."
-_F_K = "f_k: F/(N_c k), the elastic force per pinned contact, the f_k of the paper; friction is F/(N k)."
-WORDS = {  # what commands mean by words of their tables, columns and JSON
-    "run": (
-        _Z,
-        _STDERR,
-        "peak_force, peak_X: the static peak, the first maximum of the force after a fresh start.",
-    ),
-    "steady": (_Z, _STDERR),
-    "reference": (_ERROR, _F_K),
-    "validate": (_Z,),
-    "sweep": ("Columns end in _stderr, _reference_error and _z.", _STDERR, _ERROR, _Z),
-    "figures": (_Z,),
-}
+
+# What commands mean by words of their tables, columns and JSON.
+Z = "z: difference from the expected value in standard errors, both errors in quadrature."
+STDERR = "stderr: statistical standard error, of a value simulated."
+ERROR = "error: bound of the error of a numerical solution."
 
 
 def complain(message: str) -> None:
@@ -166,11 +160,8 @@ def results_folder(path: Path, out: Path | None) -> Path:
 def cores(asked: int | None = None) -> int:
     """So many threads as are asked for, or as there are cores. Raises InputError."""
     if asked is None:
-        return (
-            len(os.sched_getaffinity(0))
-            if hasattr(os, "sched_getaffinity")
-            else os.cpu_count() or 1
-        )
+        affinity = getattr(os, "sched_getaffinity", None)
+        return len(affinity(0)) if affinity else os.cpu_count() or 1
     require_integer("--threads", asked, 1, 1024)
     return asked
 
@@ -192,11 +183,6 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
         if is_dataclass(part.annotation)
     }
     fields = {name: inspect.signature(kind).parameters for name, kind in kinds.items()}
-    every = [
-        option
-        for name, part in given.items()
-        for option in fields.get(name, {name: part}).values()
-    ]
 
     @functools.wraps(command)
     def call(**values: Any) -> None:
@@ -206,7 +192,8 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
 
     every = [
         one.replace(kind=one.KEYWORD_ONLY, annotation=_escaped(one.annotation))
-        for one in every
+        for name, part in given.items()
+        for one in fields.get(name, {name: part}).values()
     ]
     call.__signature__ = inspect.Signature(every)  # type: ignore[attr-defined]
     call.__annotations__ = {one.name: one.annotation for one in every}

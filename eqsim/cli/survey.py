@@ -3,7 +3,7 @@
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from typer import Argument, Exit, Option
 
@@ -17,65 +17,67 @@ from eqsim.cli.options import (
     typed,
 )
 from eqsim.errors import InputError, require_integer
-from eqsim.io import signals
+from eqsim.io import signals, storage
+from eqsim.lazy import lazily
 
-if TYPE_CHECKING:
-    from eqsim.sweeps.scheduler import Summary
-    from eqsim.sweeps.store import Store
+with lazily():
+    from eqsim.io import export
+    from eqsim.plots import style, sweeps
+    from eqsim.sweeps import plan, rows, scheduler, store
+    from eqsim.sweeps import workers as pools
 
+COLUMNS = "Columns end in _stderr, _reference_error and _z."
+_MOST_FAILURES = 10  # that are told
+_REL_ERROR = "Relative standard error of all observables."
 _SECOND_HALF = "Second half of the run's distance instead of steady averages."
 _DASK = "Scheduler (or its file) of a dask.distributed cluster to compute on."
+_DATASET = "Folder of the dataset; the same command continues it."
+_THREADS = "Threads per process. Default: cores that are left."
+_Lives = Option(help="Most lives per point.", show_default="1e10")
 
 
 @dataclass(frozen=True)
 class SweepOptions:
     """What is computed at each point, and who computes."""
 
-    rel_error: Annotated[
-        float, Option(help="Relative standard error of all observables.")
-    ] = 1e-2
+    rel_error: Annotated[float, Option(help=_REL_ERROR)] = 1e-2
     transient: Annotated[bool, Option("--transient", help=_SECOND_HALF)] = False
     workers: Processes = None
     dask: Annotated[str | None, Option(metavar="ADDRESS", help=_DASK)] = None
 
+    def chosen(self, threads: int | None) -> "pools.Workers":
+        """Who computes, each with so many threads. Raises InputError."""
+        if self.dask is not None and self.workers is not None:
+            raise InputError("--workers: not with --dask, whose cluster has its own")
+        each = None if threads is None else cores(threads)
+        count = self.workers
+        if count is None:
+            count = max(1, cores() // (each or 1))
+        require_integer("--workers", count, 1, 1024)
+        left = 1 if self.dask else max(1, cores() // count)
+        return pools.Workers(count, each or left, self.dask)
+
 
 def sweep(
     path: RunFilePath,
-    out: Annotated[
-        Path, Option(help="Folder of the dataset; the same command continues it.")
-    ],
+    out: Annotated[Path, Option(help=_DATASET)],
     options: SweepOptions,
     changes: Changes,
-    threads: Annotated[
-        int | None, Option(help="Threads per process. Default: cores that are left.")
-    ] = None,
-    max_lives: Annotated[
-        float, Option(help="Most lives per point.", show_default="1e10")
-    ] = 1e10,
+    threads: Annotated[int | None, Option(help=_THREADS)] = None,
+    max_lives: Annotated[float, _Lives] = 1e10,
     *,
     shown: Shown,
 ) -> None:
     """A grid of points, the [sweep] table of the run file: a resumable Parquet dataset,
     one row per point."""
     file = changes.load(path)
-    if options.dask is not None and options.workers is not None:
-        raise InputError("--workers: not with --dask, whose cluster has its own")
-    each = None if threads is None else cores(threads)
-    count = (
-        max(1, cores() // (each or 1)) if options.workers is None else options.workers
-    )
-    require_integer("--workers", count, 1, 1024)
-    from eqsim.sweeps import plan, rows, scheduler, workers
-
+    who = options.chosen(threads)
     given = changes.given()
     for key in sorted(given.keys() & plan.swept(file)):
         said = f"the [sweep] table sets {key} at every point; --set sweep.{key}=[...] sets other values there"
         raise InputError(f"{given[key][1]}: has no effect, {said}")
     asked = rows.Asked(options.rel_error, max_lives, options.transient)
-    who = workers.Workers(
-        count, each or (1 if options.dask else max(1, cores() // count)), options.dask
-    )
-    stores: list[Store] = []
+    stores: list[store.Store] = []
     try:
         points = plan.Plan(file)
         first = points.at(0)
@@ -89,63 +91,41 @@ def sweep(
         signals.acknowledge()  # no further one can break off the writing of what is finished
         kept = stores[0].kept() if stores else "this call has computed nothing"
         raise KeyboardInterrupt(f"{kept}; the same command continues") from None
-    failures = found.failures[:10]
-    shown.report(
-        {**asdict(found), "failures": failures, "out": str(out)},
-        notes=_ended(found, out),
-    )
+    failures = found.failures[:_MOST_FAILURES]
+    data = {**asdict(found), "failures": failures, "out": str(out)}
+    shown.report(data, notes=found.told(out))
     for failure in failures if not shown.json else []:
-        values = ", ".join(
-            f"{key} = {value}" for key, value in failure["changes"].items()
-        )
-        complain(
-            f"point {failure['point']} ({values}) failed: {typed(failure['message'])}"
-        )
+        values = ", ".join(f"{key} = {x}" for key, x in failure["changes"].items())
+        message = typed(failure["message"])
+        complain(f"point {failure['point']} ({values}) failed: {message}")
     if found.failed:
         raise Exit(1)
 
 
-def _ended(found: "Summary", out: Path) -> list[str]:
-    doubtful = f", {found.unreliable} unreliable" if found.unreliable else ""
-    failed = f", {found.failed} FAILED" if found.failed else ""
-    notes = [
-        f"{out}/: sweep.parquet, {found.points} points: {found.ok} ok{doubtful}{failed}"
-    ]
-    if found.computed:
-        each = f"{found.point_seconds / found.computed * 1e3:.3g} ms of engine and reference each"
-        notes.append(f"{found.computed} computed in {found.seconds:.1f} s, {each}")
-    return notes
-
-
+_FOLDER = "Folder of Parquet files, one point a row."
+_PICTURE = "Picture, .png, .pdf or .svg. Default: DIR.png beside DIR."
 _Where = Option(
     metavar="KEY=VALUE",
     help="Only points at which a column has this value; repeatable.",
 )
-
-
 _By = Option(
     help="Column of which every value is a series; a second one chooses markers, the first then colours."
 )
-_PICTURE = "Picture, .png, .pdf or .svg. Default: DIR.png beside DIR."
+_Log = Option(
+    "--log-x/--linear-x",
+    help="Default: logarithmic above a factor 30.",
+    show_default=False,
+)
 
 
 def plot(
-    folder: Annotated[
-        Path, Argument(metavar="DIR", help="Folder of Parquet files, one point a row.")
-    ],
+    folder: Annotated[Path, Argument(metavar="DIR", help=_FOLDER)],
     x: Annotated[str, Option(help="Column along the x axis.")] = "drive.velocity",
     y: Annotated[str, Option(help="Column along the y axis.")] = "friction",
     by: Annotated[list[str] | None, _By] = None,
     where: Annotated[list[str] | None, _Where] = None,
     out: Annotated[Path | None, Option(metavar="FILE", help=_PICTURE)] = None,
-    log_x: Annotated[
-        bool | None,
-        Option(
-            "--log-x/--linear-x",
-            help="Default: logarithmic above a factor 30.",
-            show_default=False,
-        ),
-    ] = None,
+    log_x: Annotated[bool | None, _Log] = None,
     *,
     shown: Shown,
 ) -> None:
@@ -157,26 +137,23 @@ def plot(
         if not key or not equals:
             raise InputError(f"--where {item}: must be KEY=VALUE")
         chosen[key] = value
-    place = folder.absolute()
-    file = out or place.parent / f"{place.name}.png"
+    name = folder.absolute().name
+    file = out or folder.absolute().parent / f"{name}.png"
     if file.suffix not in (".png", ".pdf", ".svg"):
         raise InputError(f"--out {file}: must end in .png, .pdf or .svg")
     if file.resolve().is_relative_to(folder.resolve()):
         raise InputError(
             f"--out {file}: must be outside {folder}, where everything is read as points"
         )
-    from eqsim.io import storage, style, sweep_plots
-    from eqsim.io.export import RENAMED_COLUMNS
-
     storage.check_folder(file.parent)
-    found = sweep_plots.read_sweep(folder)
-    renamed = RENAMED_COLUMNS if y not in found.table else {}
+    found = sweeps.read_sweep(folder)
+    renamed = export.RENAMED_COLUMNS if y not in found.table else {}
     if y in renamed:
         complain(f"warning: --y {y} of a sweep is called {renamed[y]}")
     y = renamed.get(y, y)
-    points = sweep_plots.select(found.table, chosen)
-    title = sweep_plots.heading(found, place.name, chosen)
-    figure, notes = sweep_plots.sweep_figure(found, points, (x, y), by, log_x, title)
+    points = sweeps.select(found.table, chosen)
+    title = sweeps.heading(found, name, chosen)
+    figure, notes = sweeps.sweep_figure(found, points, (x, y), by, log_x, title)
     storage.publish(file.parent, {file.name: style.saved(figure, file.suffix[1:])})
     data = {"file": str(file), "points": len(points), "notes": notes}
     shown.report(data, notes=["; ".join([os.path.relpath(file), *notes])])

@@ -15,8 +15,9 @@ from eqsim.fitting.model import AVERAGES, Problem, SteadyForward, velocity_of
 from eqsim.fitting.posterior import SHARES
 from eqsim.fitting.profiles import LEVELS, WIDE
 from eqsim.io.labels import axis, plain
-from eqsim.io.style import DASHES, MARKERS, styled
 from eqsim.numerics.tables import Array
+from eqsim.plots.panels import scores
+from eqsim.plots.style import DASHES, MARKERS, styled
 
 if TYPE_CHECKING:
     from eqsim.fitting.fit import FitResult
@@ -80,10 +81,9 @@ def fit_figure(result: "FitResult", title: str) -> Figure:
     """Each observable against velocity, or against the number of the measurement if
     that does not change, with the fitted curves and their bands; below, residuals."""
     shown = [name for name in MEASURED if name in result.table.observable]
-    figure = Figure(figsize=(8, 1.0 + 4.6 * len(shown)), layout="constrained")
-    panels: Any = figure.subplots(
-        2 * len(shown), 1, squeeze=False, height_ratios=[2.6, 1.0] * len(shown)
-    )[:, 0]
+    figure = Figure(figsize=(8, 1.0 + 4.6 * len(shown)))
+    heights = [2.6, 1.0] * len(shown)
+    panels: Any = figure.subplots(len(heights), 1, height_ratios=heights)
     x = _Abscissa.of(result)
     for name, top, below in zip(shown, panels[::2], panels[1::2], strict=True):
         _draw_observable(result, name, x, top, below)
@@ -91,7 +91,7 @@ def fit_figure(result: "FitResult", title: str) -> Figure:
     p = "" if good.p is None else f", p = {good.p:.2g}"
     fit = f"chi-square {good.chi2:.1f} of {good.dof} degrees of freedom{p}"
     bars = "bars: 1 standard error, bands: 68 and 95 %"
-    panels[0].set_title(plain(f"{title}\n{fit}; {bars}"), fontsize=10)
+    panels[0].set_title(plain(f"{title}\n{fit}; {bars}"))
     figure.align_ylabels(panels)
     return figure
 
@@ -106,12 +106,9 @@ def _draw_observable(
     series, size = _series(result, here), 2 if x.times else 4
     for number, (label, members) in enumerate(series.items()):
         color = f"C{number % 8}"
-        style: dict[str, Any] = {
-            "color": color,
-            "marker": MARKERS[number % len(MARKERS)],
-            "linestyle": "none",
-            "markersize": size,
-        }
+        marker = MARKERS[number % len(MARKERS)]
+        style: dict[str, Any] = {"color": color, "marker": marker, "markersize": size}
+        style["linestyle"] = "none"
         data = x.values[members], problem.value[members], sigma[members]
         top.errorbar(*data, label=label, capsize=size - 2, **style)
         below.plot(x.values[members], r[members], **style)
@@ -121,18 +118,14 @@ def _draw_observable(
     value = result.table.value[here]
     if np.all(value > 0) and np.ptp(np.log(value)) > np.log(8.0):
         top.set_yscale("log")
-    below.axhspan(-2, 2, color="0.9")
+    scores(below, r[here], "residual")
     below.axhline(0, color="0.6", linewidth=0.7)
-    limit = max(3.0, 1.15 * np.abs(r[here]).max())
-    below.set(ylim=(-limit, limit), ylabel="residual\n[standard errors]")
     below.set_xlabel(x.label)
     top.set(ylabel=_LABELS[name])
-    for panel in (top, below):
-        panel.grid(alpha=0.3)
-        if x.velocities:
-            panel.set_xscale("log")
+    for panel in (top, below) if x.velocities else ():
+        panel.set_xscale("log")
     if len(series) > 1:
-        top.legend(fontsize=8)
+        top.legend()
 
 
 def _series(result: "FitResult", here: Array) -> dict[str, list[int]]:
@@ -176,7 +169,7 @@ def _curve(result: "FitResult", members: list[int], x: _Abscissa) -> _Curve:
 
 def _draw_curve(panel: Any, curve: _Curve, color: str, dashes: Any) -> None:
     """Draw a curve with bands of 68 and 95 %."""
-    panel.plot(curve.x, curve.y, color=color, linewidth=1, linestyle=dashes)
+    panel.plot(curve.x, curve.y, color=color, linestyle=dashes)
     for level, alpha in (("95", 0.15), ("68", 0.3)):
         wide = float(np.sqrt(LEVELS[level])) * curve.sd
         style = {"color": color, "alpha": alpha, "linewidth": 0}
@@ -190,7 +183,7 @@ def profiles_figure(result: "FitResult", title: str) -> Figure:
     count = len(result.intervals)
     wide = min(3, count)
     tall = -(-count // wide)
-    figure = Figure(figsize=(4.0 * wide, 0.6 + 3.0 * tall), layout="constrained")
+    figure = Figure(figsize=(4.0 * wide, 0.6 + 3.0 * tall))
     panels: Any = figure.subplots(tall, wide, squeeze=False, sharey=True).ravel()
     for index in range(count):
         _draw_profile(result, index, panels[index])
@@ -199,7 +192,7 @@ def profiles_figure(result: "FitResult", title: str) -> Figure:
     for panel in panels[::wide]:
         panel.set_ylabel("chi-square above the least")
     legend = "orange: best fit; thick black: a bound reached first"
-    figure.suptitle(plain(f"{title}: profile likelihood ({legend})"), fontsize=10)
+    figure.suptitle(plain(f"{title}: profile likelihood ({legend})"))
     return figure
 
 
@@ -215,7 +208,7 @@ def _draw_profile(result: "FitResult", index: int, panel: Any) -> None:
         fine = np.linspace(u[0], u[-1], 200)
         signed = np.sqrt(np.maximum(rise, 0.0)) * np.sign(u - result.best.u[index])
         smooth = PchipInterpolator(u, signed)(fine) ** 2
-        panel.plot(one.value(fine), smooth, color="C0", linewidth=1)
+        panel.plot(one.value(fine), smooth, color="C0")
     place = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
     for name, level in LEVELS.items():
         panel.axhline(level, color="0.5", linewidth=0.8, linestyle=":")
@@ -231,7 +224,6 @@ def _draw_profile(result: "FitResult", index: int, panel: Any) -> None:
         panel.xaxis.set_minor_formatter(NullFormatter())
     label = axis(one.key, result.file.units, unknown=False)
     panel.set(ylim=(-0.03 * top, top), xlabel=f"{label}: {known.status}")
-    panel.grid(alpha=0.3)
 
 
 @styled
@@ -240,7 +232,7 @@ def identifiability_figure(result: "FitResult", title: str) -> Figure:
     of."""
     rungs, keys = result.ladder, result.problem.keys
     size = (4.5 + 1.1 * len(keys), 1.8 + 0.6 * len(keys))
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=size)
     ratios = [1.1, max(1.0, 0.35 * len(keys))]
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=ratios)
     sd = np.array([min(rung.sd, 1e6) for rung in rungs])
@@ -250,7 +242,7 @@ def identifiability_figure(result: "FitResult", title: str) -> Figure:
     ]
     rows = np.arange(len(rungs))
     left.barh(rows, sd, left=1e-4, color=colors, height=0.6)
-    left.axvline(WIDE, color="k", linestyle=":", linewidth=1)
+    left.axvline(WIDE, color="k", linestyle=":")
     left.set(xscale="log", xlim=(1e-4, max(10, 3 * sd.max())), ylabel="direction")
     left.set_xlabel("standard deviation along it\n(dotted: 1.1, a factor 3)")
     left.set_yticks(rows, [str(number + 1) for number in rows])
@@ -260,9 +252,10 @@ def identifiability_figure(result: "FitResult", title: str) -> Figure:
         style = {"ha": "center", "va": "center", "fontsize": 8}
         color = "w" if abs(part) > 0.6 else "k"
         right.text(column, row, f"{part:+.2f}", color=color, **style)
+    right.grid(False)
     right.set_xticks(np.arange(len(keys)), keys, rotation=30, ha="right", fontsize=8)
     figure.colorbar(image, ax=right, label="component")
-    figure.suptitle(plain(f"{title}: what the data determine, best first"), fontsize=10)
+    figure.suptitle(plain(f"{title}: what the data determine, best first"))
     return figure
 
 
@@ -274,11 +267,12 @@ def posterior_figure(sampled: "Posterior", title: str) -> Figure:
     labels = [one.variable_name for one in sampled.problem.parameters]
     size = 2.2 * len(labels) + 0.8
     figure = Figure(figsize=(size, size))
+    figure.set_layout_engine("none")
     style = {"label_kwargs": {"fontsize": 8}, "color": "C0", "max_n_ticks": 4}
     quantiles = SHARES["95"]
     corner.corner(
         sampled.points, labels=labels, quantiles=quantiles, fig=figure, **style
     )
     heading = f"{title}: posterior".removeprefix(": ") + " (dashed: 95 %)"
-    figure.suptitle(plain(heading), fontsize=10)
+    figure.suptitle(plain(heading))
     return figure

@@ -19,7 +19,7 @@ from eqsim.fitting.posterior import Posterior
 from eqsim.fitting.profiles import WIDE
 from eqsim.io import storage
 from eqsim.io.runfile import at, copied
-from eqsim.io.style import saved
+from eqsim.plots.style import saved
 
 COLUMNS = ("key", "estimate", "68 %", "95 %", "status")
 
@@ -27,44 +27,31 @@ COLUMNS = ("key", "estimate", "68 %", "95 %", "status")
 def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, Any]:
     """The content of fit.json."""
     values = result.problem.values
+    parameters = {}
+    for one in result.intervals:
+        known = one._asdict()
+        ends = {f"interval_{name}": x for name, x in known.pop("intervals").items()}
+        parameters[known.pop("key")] = {**known, **ends}
+    starts, minima = (
+        [{**one._asdict(), "values": values(one.u)} for one in found]
+        for found in (result.minima, different(result.minima))
+    )
     found = {
         "title": result.file.title,
-        "parameters": {
-            one.key: {
-                "estimate": one.estimate,
-                "transform": one.transform,
-                "sd": one.sd,
-                **{f"interval_{name}": ends for name, ends in one.intervals.items()},
-                "status": one.status,
-            }
-            for one in result.intervals
-        },
+        "parameters": parameters,
         **result.goodness._asdict(),
         "rejected": result.rejected,
         "converged": result.converged,
         "loss": result.fit.loss,
         "measurements": result.table.value.size,
         "covariance": {"keys": result.problem.keys, "matrix": result.covariance},
-        "starts": [
-            {
-                "chi2": one.chi2,
-                "converged": one.converged,
-                "solves": one.solves,
-                "values": values(one.u),
-            }
-            for one in result.minima
-        ],
-        "minima": [
-            {"chi2": one.chi2, "values": values(one.u)}
-            for one in different(result.minima)
-        ],
+        "starts": [_of(one, "chi2", "converged", "solves", "values") for one in starts],
+        "minima": [_of(one, "chi2", "values") for one in minima],
         "eigenvalues": [
             {
                 "value": rung.eigenvalue,
-                "ratio": rung.ratio,
-                "sd": rung.sd,
                 "direction": rung.name,
-                "components": rung.components,
+                **_of(rung._asdict(), "ratio", "sd", "components"),
             }
             for rung in result.ladder
         ],
@@ -77,6 +64,10 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
         "versions": storage.versions(),
     }
     return found if sampled is None else {**found, "posterior": sampled.summary()}
+
+
+def _of(given: dict[str, Any], *names: str) -> dict[str, Any]:
+    return {name: given[name] for name in names}
 
 
 def fitted(result: FitResult) -> dict[str, Any]:
@@ -122,7 +113,6 @@ def profiles(result: FitResult) -> dict[str, Any]:
 
 
 def _origin(result: FitResult) -> dict[str, Any]:
-    """The provenance of tables."""
     file = result.file
     return storage.provenance("fit", file.settings, file.text, result.seed, file.folder)
 

@@ -1,16 +1,25 @@
-"""What a terminal shows: results of commands, values with their errors, progress."""
+"""What a terminal shows: results of commands, numbers, progress."""
 
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+from rich.text import Text
 
 from eqsim.io.storage import to_json
-
-if TYPE_CHECKING:
-    from eqsim.estimate import Estimate
+from eqsim.numerics.kernel_folder import compiling_since
 
 _LONG = 20.0  # seconds from which on the time left is announced
 _COMPILING = 1.0  # seconds after which the bar says that kernels are compiled
@@ -21,12 +30,12 @@ _LEFT = ("", "group", "meaning", "unit")  # columns of words, which begin at the
 @dataclass(frozen=True)
 class Report:
     """The result of a command: `data` for machines; for people a table, unless it has
-    no columns, and lines below."""
+    no columns, and lines below. Cells are texts, or estimates with their errors."""
 
     data: Any
     title: str = ""
     columns: Sequence[str] = ()
-    rows: Iterable[Sequence[str]] = ()
+    rows: Iterable[Sequence[Any]] = ()
     notes: Iterable[str] = ()
 
     def show(self, json: bool = False, quiet: bool = False) -> None:
@@ -41,11 +50,7 @@ class Report:
 
     def _table(self) -> None:
         """Print the table; no word and no number is cut, and it may be too wide."""
-        from rich.console import Console
-        from rich.table import Table
-        from rich.text import Text
-
-        console, rows = Console(), [tuple(row) for row in self.rows]
+        console, rows = Console(), [tuple(map(str, row)) for row in self.rows]
         if not console.is_terminal and "COLUMNS" not in os.environ:
             console.width = _FILE_WIDTH
         table = Table()
@@ -62,12 +67,7 @@ class Report:
         console.print(Text(self.title, style="bold"), table, crop=False)
 
 
-def value_and_error(estimate: "Estimate") -> str:
-    """Value(error in the last two digits), as physicists write it."""
-    return str(estimate)
-
-
-def relative_error(estimate: "Estimate") -> str:
+def relative_error(estimate: Any) -> str:
     """Standard error over value."""
     if estimate.diverges:
         return "none"
@@ -79,6 +79,11 @@ def relative_error(estimate: "Estimate") -> str:
 def score(z: float | None) -> str:
     """A difference in standard errors; None if there is neither."""
     return "exact" if z is None else f"{z:+.2f}"
+
+
+def some(count: int, parts: int) -> list[int]:
+    """Indices of `parts` + 1 rows of a long table, from the first to the last."""
+    return sorted({round((count - 1) * part / parts) for part in range(parts + 1)})
 
 
 def count(number: float) -> str:
@@ -129,46 +134,43 @@ def announcing(
     return announced
 
 
+class _Doing(TextColumn):
+    """What is going on: the work, or that kernels are compiled."""
+
+    def render(self, task: Any) -> Any:
+        begin = compiling_since()
+        if begin is None or time.monotonic() - begin <= _COMPILING:
+            return super().render(task)
+        return Text("compiling kernels, once for these laws")
+
+
+class _Rate(ProgressColumn):
+    """How many units a second."""
+
+    def __init__(self, unit: str) -> None:
+        super().__init__()
+        self.unit = unit
+
+    def render(self, task: Any) -> Any:
+        return Text(f"{count(task.speed or 0.0)} {self.unit}/s")
+
+
 @contextmanager
 def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, float], None]]:
     """A progress bar on the terminal's standard error, for `progress(done, total)`; it
     tells when kernels are compiled for longer than a moment."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        ProgressColumn,
-        TextColumn,
-        TimeRemainingColumn,
-    )
-    from rich.text import Text
-
     console = Console(stderr=True)
     if silent or not console.is_terminal:
         yield lambda *_: None
         return
-    from eqsim.numerics.kernel_folder import compiling_since
-
-    class Doing(TextColumn):
-        def render(self, task: Any) -> Any:
-            begin = compiling_since()
-            if begin is None or time.monotonic() - begin <= _COMPILING:
-                return super().render(task)
-            return Text("compiling kernels, once for these laws")
-
-    class Rate(ProgressColumn):
-        def render(self, task: Any) -> Any:
-            return Text(f"{count(task.speed or 0.0)} {unit}/s")
-
-    shown = Progress(
-        Doing("{task.description}"),
+    columns = (
+        _Doing("{task.description}"),
         BarColumn(),
-        Rate(),
+        _Rate(unit),
         TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        speed_estimate_period=3600.0,
     )
+    how: dict[str, Any] = {"transient": True, "speed_estimate_period": 3600.0}
+    shown = Progress(*columns, console=console, **how)
     task = shown.add_task(title, total=None)
 
     def progress(done: int, total: float) -> None:

@@ -53,6 +53,18 @@ class Summary:
     failures: list[dict[str, Any]]
     damaged: list[str]
 
+    def told(self, out: Path) -> list[str]:
+        """Lines for a terminal about the sweep in the folder `out`."""
+        doubtful = f", {self.unreliable} unreliable" if self.unreliable else ""
+        failed = f", {self.failed} FAILED" if self.failed else ""
+        points = f"{self.points} points: {self.ok} ok{doubtful}{failed}"
+        notes = [f"{out}/: sweep.parquet, {points}"]
+        if self.computed:
+            each = self.point_seconds / self.computed * 1e3
+            ran = f"{self.computed} computed in {self.seconds:.1f} s"
+            notes.append(f"{ran}, {each:.3g} ms of engine and reference each")
+        return notes
+
 
 def sweep(
     plan: Plan,
@@ -60,42 +72,24 @@ def sweep(
     *,
     asked: Asked | None = None,
     workers: Workers | None = None,
-    progress: Progress | None = None,
-    note: Note | None = None,
-    opened: Callable[[Store], None] | None = None,
+    progress: Progress = lambda *_: None,
+    note: Note = lambda _: None,
+    opened: Callable[[Store], None] = lambda _: None,
 ) -> Summary:
-    """Compute all points of a plan into the folder `out`, or those that are not there
-    yet.
+    """Compute all points of a plan into the folder `out` (`eqsim.sweeps.store`), or
+    those that are not there yet: by default steady averages to 1e-2, by one process.
 
-    Parameters
-    ----------
-    plan : Plan
-        `Plan(file)` of a run file with a [sweep] table.
-    out : Path
-        Folder of the dataset (`eqsim.sweeps.store`).
-    asked, workers : optional
-        What is computed at each point (default: steady averages to 1e-2), and who
-        computes (default: one process).
-    progress, note, opened : callable, optional
-        `progress(done, total)` counts the points of this call, `note` is told what to
-        expect, and `opened` is given the folder's `Store` once it is there.
-
-    Returns
-    -------
-    Summary
-
-    Raises
-    ------
-    InputError
-        If the folder or the workers cannot be used, or workers die again and again.
+    `progress(done, total)` counts the points of this call, `note` is told what to
+    expect, and `opened` is given the folder's `Store` once it is there. Raises
+    InputError if the folder or the workers cannot be used, or workers die again and
+    again.
     """
     begin = time.perf_counter()
-    asked, note = asked or Asked(), note or (lambda _: None)
+    asked = asked or Asked()
     # Workers come before the folder: a cluster that does not answer leaves none.
     with (workers or Workers()).pool() as pool:
         store = Store(out, plan, asked)
-        if opened:
-            opened(store)
+        opened(store)
         try:
             for path in store.damaged:
                 note(f"{path} is damaged; its points are computed again")
@@ -113,17 +107,17 @@ def sweep(
             raise
         finally:
             store.close()
-    statuses, messages = table["status"].to_pylist(), table["message"].to_pylist()
-    count = Counter(statuses)
+    rows = table.select(["status", "message"]).to_pylist()
+    count = Counter(row["status"] for row in rows)
     failures = [
         {
             "point": index + 1,
             "id": plan.ids[index],
             "changes": plan.changes(index),
-            "message": messages[index],
+            "message": row["message"],
         }
-        for index, status in enumerate(statuses)
-        if status == "failed"
+        for index, row in enumerate(rows)
+        if row["status"] == "failed"
     ]
     return Summary(
         points=plan.size,
@@ -147,18 +141,12 @@ class Scheduler:
     """
 
     def __init__(
-        self,
-        store: Store,
-        pool: Pool,
-        asked: Asked,
-        progress: Progress | None,
-        note: Note,
+        self, store: Store, pool: Pool, asked: Asked, progress: Progress, note: Note
     ) -> None:
-        self.plan, self.store, self.pool, self.note = store.plan, store, pool, note
-        self.work = functools.partial(
-            compute, asked=asked, threads=pool.threads, version=RESULTS_VERSION
-        )
-        self.progress = progress or (lambda *_: None)
+        self.plan, self.store, self.pool = store.plan, store, pool
+        self.progress, self.note = progress, note
+        how: dict[str, Any] = {"threads": pool.threads, "version": RESULTS_VERSION}
+        self.work = functools.partial(compute, asked=asked, **how)
         self.pending: deque[int] = deque()
         self.running: dict[Future[Any], list[int]] = {}
         self.suspects: deque[int] = deque()  # points that may have killed a worker
@@ -183,9 +171,8 @@ class Scheduler:
             if not told and self.pending and len(self.recent) >= slots:
                 told, mean = True, statistics.fmean(self.recent)
                 needed = duration(mean * len(self.pending) / slots)
-                self.note(
-                    f"about {needed} to go: {duration(mean)} a point, {slots} workers"
-                )
+                pace = f"{duration(mean)} a point, {slots} workers"
+                self.note(f"about {needed} to go: {pace}")
             self.progress(self.done, total)
         return self.seconds
 

@@ -17,7 +17,7 @@ from concurrent.futures import (
     Future,
     ProcessPoolExecutor,
 )
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -34,16 +34,9 @@ _ADDRESS = r"((tcp|tls|ucx|wss?)://)?([^][:/]+|\[[^][/]+\]):\d+"
 
 @dataclass(frozen=True)
 class Workers:
-    """Who computes. The choice changes speed, never a number.
-
-    Parameters
-    ----------
-    count, threads : int
-        Processes of this machine (0: none but this one), and threads of each.
-    dask : str, optional
-        Instead of own processes those of the dask.distributed cluster whose scheduler
-        has this address, or has written this file.
-    """
+    """Who computes, which changes speed and never a number: `count` processes of this
+    machine (0: none but this one), with so many `threads` each, or the dask.distributed
+    cluster whose scheduler has the address `dask`, or has written this file."""
 
     count: int = 1
     threads: int = 1
@@ -53,7 +46,8 @@ class Workers:
     def pool(self) -> Iterator["Pool"]:
         """The workers, for as long as the block takes; ended at once if it is broken
         off. Raises InputError."""
-        found = self._started()
+        own = Processes if self.count else Here
+        found: Pool = Cluster(self.dask) if self.dask is not None else own(self.count)
         found.threads = self.threads
         try:
             yield found
@@ -62,20 +56,13 @@ class Workers:
             raise
         found.close(hurry=False)
 
-    def _started(self) -> "Pool":
-        if self.dask is not None:
-            return Cluster(self.dask)
-        return Processes(self.count) if self.count else Here()
-
     @contextmanager
     def executor(self) -> Iterator[Executor | None]:
         """The executor of a `fixed_pool`, or None for a single worker, which is this
         process. Raises InputError."""
-        if self.count == 1:
-            yield None
-            return
-        with self.fixed_pool() as found:
-            yield found.executor
+        with ExitStack() as stack:
+            several = self.count != 1
+            yield stack.enter_context(self.fixed_pool()).executor if several else None
 
     @contextmanager
     def fixed_pool(self) -> Iterator["Pool"]:
@@ -123,14 +110,11 @@ class Pool:
 class Here(Pool):
     """This process itself, in a thread of its own."""
 
-    def __init__(self) -> None:
-        self.executor: ThreadPool = ThreadPool(1)
+    def __init__(self, count: int) -> None:
+        self.executor: ThreadPool = ThreadPool(max(count, 1))
 
     def close(self, hurry: bool) -> None:
-        if hurry:
-            self.executor.abandon()
-        else:
-            self.executor.shutdown()
+        self.executor.abandon() if hurry else self.executor.shutdown()
 
 
 class Processes(Pool):
@@ -207,10 +191,8 @@ class Cluster(Pool):
             with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
                 where = str(json.loads(Path(address).read_bytes())["address"])
         if not re.fullmatch(_ADDRESS, where):
-            raise InputError(
-                f"{self.option}: must be HOST:PORT of a scheduler or a file in which "
-                "one wrote its address"
-            )
+            said = "HOST:PORT of a scheduler or a file in which one wrote its address"
+            raise InputError(f"{self.option}: must be {said}")
         # A lost cluster is told in one line.
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         try:
@@ -238,10 +220,8 @@ class Cluster(Pool):
         except OSError:
             raise InputError(f"{self.option}: it has no workers") from None
         if found != {ours}:
-            theirs = ", ".join(sorted(found))
-            raise InputError(
-                f"{self.option}: its workers have eqsim {theirs}, not {ours}"
-            )
+            said = f"its workers have eqsim {', '.join(sorted(found))}, not {ours}"
+            raise InputError(f"{self.option}: {said}")
 
     def close(self, hurry: bool) -> None:
         self.executor.shutdown(wait=not hurry)

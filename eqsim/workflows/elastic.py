@@ -1,6 +1,6 @@
 """Results of `eqsim run` for coupled blocks, beside exact numbers."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,35 +10,55 @@ import numpy as np
 from eqsim.engine.elastic import check_elastic, elastic_trajectory
 from eqsim.engine.records import ElasticTrajectory
 from eqsim.estimate import Estimate, difference
-from eqsim.io import storage
+from eqsim.io import terminal
 from eqsim.io.runfile import RunFile
+from eqsim.lazy import lazily
 from eqsim.master.avalanche_sizes import missed_by_few, size_law
 from eqsim.master.steady import reference
 from eqsim.model.drive import Drive
-from eqsim.model.ensemble import Ensemble
+from eqsim.model.elastic import Elastic
 from eqsim.numerics.tables import Array
-from eqsim.results import OfTrajectory
+from eqsim.workflows.report import Progress, Simulated
 
-_SHOWN = 1000  # largest size of which the law is drawn
+with lazily():
+    from eqsim.plots import blocks as draw
+    from eqsim.plots import panels
+
+
+_LARGEST = 1000  # size of avalanches up to which the law is drawn
+_ROWS = {
+    "friction": "friction over X",
+    "size": "breaks per avalanche",
+    "single": "fraction of single breaks",
+}
 
 
 @dataclass(frozen=True, repr=False)
-class ElasticResult(OfTrajectory):
+class ElasticResult(Simulated):
     """Simulation of a run file with coupled blocks."""
 
     file: RunFile
-    ensemble: Ensemble
-    drive: Drive
     trajectory: ElasticTrajectory
+    exact = (None, "")
+
+    @property
+    def elastic(self) -> Elastic:
+        """The blocks."""
+        elastic: Elastic = self.drive.elastic
+        return elastic
 
     @cached_property
     def sizes(self) -> Array:
         """P(1), P(2), ... of infinitely many contacts, (1000,); empty for a discrete
         law."""
-        assert self.drive.elastic
         if self.ensemble.thresholds.steps.size:
             return np.empty(0)
-        return size_law(self.ensemble.thresholds, self.drive.elastic.load, _SHOWN)
+        return size_law(self.ensemble.thresholds, self.elastic.load, _LARGEST)
+
+    @cached_property
+    def friction(self) -> Estimate:
+        """Exact friction over displacement."""
+        return reference(self.ensemble, replace(self.drive, elastic=None)).friction
 
     def averages(self) -> dict[str, tuple[Estimate, Estimate]]:
         """Averages over the second half of the plate's way, and their exact values, by
@@ -50,92 +70,81 @@ class ElasticResult(OfTrajectory):
         have no value for a discrete law, whose equal thresholds break together from a
         fresh start on.
         """
-        found, elastic = self.trajectory, self.drive.elastic
-        assert elastic
-        friction = reference(self.ensemble, replace(self.drive, elastic=None)).friction
+        found, elastic = self.trajectory, self.elastic
         size = single = Estimate(None, None, 0, reliable=False)
         if self.sizes.size:
             contacts = elastic.contacts_per_block(self.ensemble.count)
             few = missed_by_few(self.ensemble.thresholds, elastic.load, contacts)
             size = Estimate(elastic.mean_size, abs(few.mean), 0)
             single = Estimate(float(self.sizes[0]), abs(few.single), 0)
-        return {
-            "friction": (found.friction, friction),
-            "size": (found.size, size),
-            "single": (found.single, single),
-        }
+        exact = {"friction": self.friction, "size": size, "single": single}
+        return {name: (getattr(found, name), known) for name, known in exact.items()}
 
     def summary(self) -> dict[str, Any]:
-        """Content of `summary.json`."""
-        found = self.trajectory
-        names = ("lives", "engine_seconds", "threads", "seed")
-        averages = self.averages()
+        found, averages = self.trajectory, self.averages()
+        friction, exact = averages["friction"]
         return {
             "title": self.file.title,
             **{name: estimate.as_dict() for name, (estimate, _) in averages.items()},
             "force_reliable": found.force_reliable,
             "reference": {name: exact.value for name, (_, exact) in averages.items()},
-            **self.file.physical(
-                averages["friction"][0], averages["friction"][1].value
-            ),
+            **self.file.physical(friction, exact.value),
             "z": {name: difference(*pair) for name, pair in averages.items()},
             "avalanches": len(found.avalanches["breaks"]),
-            **{name: getattr(found, name) for name in names},
-            "versions": storage.versions(),
+            **self.made(),
         }
 
-    def files(
-        self, title: str = "", formats: Sequence[str] = ("png",)
-    ) -> dict[str, bytes]:
-        """Files of a results folder by name; pictures have `title` unless the file has
-        one."""
-        from eqsim.io.plots import (
-            avalanches_figure,
-            caption,
-            elastic_figure,
-            fronts_figure,
-        )
-        from eqsim.io.style import pictures
+    def tables(self) -> dict[str, Any]:
+        found = self.trajectory
+        more = {"avalanches": found.avalanches, "blocks": found.blocks}
+        return {"trajectory": found.columns(), **more}
 
-        file, found, elastic = self.file, self.trajectory, self.drive.elastic
-        assert elastic
-        exact = self.averages()["friction"][1]
-        said = caption(file, exact, title)
-        origin = storage.provenance(
-            "run", file.settings, file.text, file.output.seed, file.folder
-        )
+    def figures(self, title: str) -> dict[str, Any]:
+        found = self.trajectory
+        caption = panels.Caption.of(self.file, title, self.friction.value)
         return {
-            "trajectory.parquet": storage.parquet(found.columns(), origin),
-            "avalanches.parquet": storage.parquet(found.avalanches, origin),
-            "blocks.parquet": storage.parquet(found.blocks, origin),
-            "summary.json": storage.to_json(self.summary()).encode(),
-            **pictures("force", elastic_figure(found, exact, said), formats),
-            **pictures(
-                "avalanches", avalanches_figure(found, self.sizes, said), formats
-            ),
-            **pictures("fronts", fronts_figure(found, *elastic.shape, said), formats),
+            "force": draw.elastic_figure(found, self.friction, caption),
+            "avalanches": draw.avalanches_figure(found, self.sizes, caption),
+            "fronts": draw.fronts_figure(found, *self.elastic.shape, caption),
         }
+
+    def rows(self) -> Iterator[tuple[Any, ...]]:
+        yield "", "this run", "expected", "z"
+        for name, (found, exact) in self.averages().items():
+            known: tuple[Any, ...] = "none", "none"
+            if exact.value is not None:
+                known = exact, terminal.score(difference(found, exact))
+            yield _ROWS[name], found, *known
+
+    def notes(self) -> Iterator[str]:
+        found = self.trajectory
+        breaks, blocks = found.avalanches["breaks"], found.avalanches["blocks"]
+        if not found.friction.reliable:
+            yield "unreliable: the second half is too short to forget the fresh start, or to tell its errors"
+        if breaks.size:
+            mean, of = f"{blocks.mean():.3g}", f"{self.elastic.count} blocks"
+            yield (
+                f"{breaks.size} avalanches, the largest of {breaks.max()} breaks; "
+                f"{mean} of {of} take part in the mean, {blocks.max()} at most"
+            )
+        yield (
+            "exact: friction of any contacts, avalanches of infinitely many; errors: "
+            "what n contacts a block may change"
+        )
+        yield from self.speed()
 
 
 def run_elastic(
-    file: RunFile,
-    drive: Drive,
-    *,
-    threads: int,
-    max_lives: float,
-    progress: Callable[[int, float], None],
+    file: RunFile, drive: Drive, *, threads: int, max_lives: float, progress: Progress
 ) -> ElasticResult:
-    """Simulate a run file with coupled blocks on a plate with this drive.
-
-    Raises InputError.
-    """
+    """Simulate a run file with coupled blocks, whose `drive` has some. Raises
+    InputError."""
     ensemble, output = file.ensemble, file.output
-    _, expected = check_elastic(
-        ensemble, drive, output.points, output.seed, output.replicas, max_lives
-    )
+    size = output.points, output.seed, output.replicas
+    _, expected = check_elastic(ensemble, drive, *size, max_lives)
     progress(0, expected)
     found = elastic_trajectory(
         ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=threads,
         max_lives=max_lives, progress=lambda lives: progress(lives, expected),
     )  # fmt: skip
-    return ElasticResult(file, ensemble, drive, found)
+    return ElasticResult(file, found)

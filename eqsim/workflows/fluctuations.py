@@ -2,9 +2,9 @@
 and of simulated contacts."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -13,19 +13,27 @@ from eqsim.engine.scatter import births
 from eqsim.engine.trajectory import predicted_lives, trajectory
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate, known, z_score
-from eqsim.io import storage
+from eqsim.io import storage, terminal
 from eqsim.io.runfile import RunFile
+from eqsim.lazy import lazily
 from eqsim.master.steady import Reference, reference
 from eqsim.master.transient import Fluctuations, fluctuations
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.tables import Array
+from eqsim.workflows.report import FileResult
 
-Progress = Callable[[int, float], None]
+with lazily():
+    from eqsim.plots import checks, panels
+
+
+_ROWS = 8  # lags that a table shows
 _CYCLES = 5.0  # mean cycles of pinned and detached to which lags extend by default
-_TOGETHER = 20  # contacts of a simulated ensemble: the fewer, the more ensembles there are of the same lives
-_MOST_ENSEMBLES, _FEWEST = 20_000, 100
+# Contacts of a simulated ensemble: the fewer, the more ensembles of the same lives.
+_TOGETHER = 20
+_MOST_ENSEMBLES = 20_000
+_FEWEST_ENSEMBLES = 100
 # an ensemble that makes more of the scatter has siblings that were not seen
 _DOMINANT = 0.1
 _UNMET = 4.0  # contacts expected, below which a sample may have met none
@@ -46,99 +54,114 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class FluctuationsResult:
+class FluctuationsResult(FileResult):
     """A run file whose fluctuations were computed; `sample` is None if nothing was
     simulated, and `reason` why."""
 
     file: RunFile
-    ensemble: Ensemble
     exact: Fluctuations
     sample: Sample | None
     reason: str
     asked: dict[str, float]
-    names: ClassVar[tuple[str, ...]] = (
-        "fluctuations.parquet",
-        "summary.json",
-        "fluctuations.png",
-    )
+    command = "fluctuations"
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What a replay needs to know."""
+        return {"run": self.file.settings, **self.asked}
+
+    def estimates(self) -> list[Estimate]:
+        """The simulated covariance at each lag; none if there is no sample."""
+        found = self.sample
+        if found is None:
+            return []
+        pairs = zip(found.covariance.tolist(), found.stderr.tolist(), strict=True)
+        n, reliable = found.ensembles, found.reliable
+        return [Estimate(*pair, n, reliable=reliable) for pair in pairs]
 
     @property
     def z(self) -> list[float | None]:
         """Difference of the simulated covariance from the exact one in standard errors,
         at each lag; None if there is no sample."""
-        sample, exact = self.sample, self.exact
-        if sample is None:
-            return [None] * exact.lag.size
-        estimates = zip(sample.covariance.tolist(), sample.stderr.tolist(), strict=True)
-        found = (
-            Estimate(value, stderr, sample.ensembles) for value, stderr in estimates
-        )
-        return [
-            z_score(*parts)
-            for parts in zip(
-                found, exact.covariance.tolist(), exact.error.tolist(), strict=True
-            )
-        ]
+        exact = self.exact.covariance.tolist(), self.exact.error.tolist()
+        if self.sample is None:
+            return [None] * self.exact.lag.size
+        pairs = zip(self.estimates(), *exact, strict=True)
+        return [z_score(*parts) for parts in pairs]
 
     @property
     def correlation_length(self) -> float:
-        """int of the covariance over the lags, over the variance (length)."""
-        return float(
-            np.trapezoid(self.exact.covariance, self.exact.lag)
-            / self.exact.covariance[0]
-        )
+        """Integral of the covariance over the lags, over the variance (length)."""
+        covariance = self.exact.covariance
+        return float(np.trapezoid(covariance, self.exact.lag) / covariance[0])
 
     def columns(self) -> dict[str, Array]:
         """The table: `lag`, `covariance`, `error`, and if contacts were simulated
         `simulated`, `simulated_stderr`."""
-        found = self.exact.columns()
-        if self.sample:
-            found |= {
-                "simulated": self.sample.covariance,
-                "simulated_stderr": self.sample.stderr,
-            }
+        found, sample = self.exact.columns(), self.sample
+        if sample:
+            found["simulated"] = sample.covariance
+            found["simulated_stderr"] = sample.stderr
         return found
+
+    @property
+    def force_std(self) -> float:
+        """Standard deviation of F/(N k) (length)."""
+        variance = float(self.exact.covariance[0])
+        return math.sqrt(max(variance, 0.0) / self.ensemble.count)
 
     def summary(self) -> dict[str, Any]:
         """The content of `summary.json`."""
         exact, sample = self.exact, self.sample
-        variance = float(exact.covariance[0])
+        counts = ("ensembles", "contacts", "lives")
         return {
             "title": self.file.title,
-            "variance": {"value": variance, "error": float(exact.error[0])},
-            "force_std": math.sqrt(max(variance, 0.0) / self.ensemble.count),
+            "variance": {
+                "value": float(exact.covariance[0]),
+                "error": float(exact.error[0]),
+            },
+            "force_std": self.force_std,
             "correlation_length": self.correlation_length,
             **self.columns(),
             "z": self.z,
-            "reliable": None if sample is None else sample.reliable,
-            "ensembles": 0 if sample is None else sample.ensembles,
-            "contacts": 0 if sample is None else sample.contacts,
-            "lives": 0 if sample is None else sample.lives,
+            "reliable": sample and sample.reliable,
+            **{name: getattr(sample, name, 0) for name in counts},
             "seed": self.file.output.seed,
             "versions": storage.versions(),
         }
 
-    def files(self, title: str = "") -> dict[str, bytes]:
-        """The files of a results folder by name; `title` of the picture, unless the run
-        file has one."""
-        from eqsim.io.plots import caption, fluctuations_figure
-        from eqsim.io.style import saved
+    def tables(self) -> dict[str, Any]:
+        return {"fluctuations": self.columns()}
 
-        said = caption(self.file, Estimate(None, None, 0), title)
-        settings = {"run": self.file.settings, **self.asked}
-        origin = storage.provenance(
-            "fluctuations",
-            settings,
-            self.file.text,
-            self.file.output.seed,
-            self.file.folder,
+    def figures(self, title: str) -> dict[str, Any]:
+        caption = panels.Caption.of(self.file, title)
+        draw = checks.fluctuations_figure
+        return {"fluctuations": draw(self.exact, self.sample, caption)}
+
+    def rows(self) -> Iterator[tuple[Any, ...]]:
+        """Some lags, from 0, where it is the variance, on."""
+        exact, found, z = self.exact, self.estimates(), self.z
+        yield "lag", "exact", "simulated", "z"
+        for i in terminal.some(exact.lag.size, _ROWS - 1):
+            both = (found[i], terminal.score(z[i])) if found else ("none", "none")
+            yield f"{exact.lag[i]:.6g}", f"{exact.covariance[i]:.6g}", *both
+
+    def notes(self) -> Iterator[str]:
+        contacts, sample = (
+            f"{terminal.count(self.ensemble.count)} contacts",
+            self.sample,
         )
-        contents = (
-            storage.parquet(self.columns(), origin),
-            storage.to_json(self.summary()).encode(),
-            saved(fluctuations_figure(self.exact, self.sample, said)),
-        )
-        return dict(zip(self.names, contents, strict=True))
+        yield "N times the autocovariance of F/(N k) over a lag in displacement; at lag 0 the variance"
+        yield f"standard deviation of F/(N k) with {contacts}: {self.force_std:.6g}"
+        yield f"correlation length, the integral over these lags over the variance: {self.correlation_length:.6g}"
+        if sample is None:
+            yield f"nothing simulated: {self.reason}"
+            return
+        ensembles = f"{sample.ensembles} ensembles of {sample.contacts} contacts"
+        lives = terminal.count(sample.lives)
+        yield f"{ensembles}, {lives} lives, seed {self.file.output.seed}"
+        if not sample.reliable:
+            yield "unreliable: a few ensembles make the scatter; forces this heavy-tailed need more --lives"
 
 
 def run_fluctuations(
@@ -150,29 +173,11 @@ def run_fluctuations(
     threads: int = 1,
 ) -> FluctuationsResult:
     """The stationary fluctuations of a run file's force, exact and of simulated
-    contacts.
+    contacts, of which about `lives` lives are drawn, at `points` lags from 0 to `lag`
+    (length), by default five mean cycles of pinned and detached.
 
-    Parameters
-    ----------
-    file : RunFile
-    lag : float, optional
-        Greatest lag (length); by default five mean cycles of pinned and detached.
-    points : int
-        Lags, from 0 on.
-    lives : float
-        About how many lives of contacts are simulated; 0: none.
-    threads : int
-        Speed only.
-
-    Returns
-    -------
-    FluctuationsResult
-
-    Raises
-    ------
-    InputError
-        Without a constant velocity, for contacts that there is no such theory of, and
-        for values out of range.
+    Raises InputError without a constant velocity, for contacts that there is no such
+    theory of, and for values out of range.
     """
     ensemble, drive = file.ensemble, file.constant_drive
     require_number("--lives", lives, least=0.0, most=1e10)
@@ -184,18 +189,12 @@ def run_fluctuations(
     sample, reason = None, "" if lives else "none asked for"
     if lives:
         try:
-            sample = sampled(
-                ensemble,
-                replace(drive, distance=lag),
-                points,
-                lives,
-                file.output.seed,
-                threads,
-            )
+            far = replace(drive, distance=lag)
+            sample = sampled(ensemble, far, points, lives, file.output.seed, threads)
         except InputError as error:
             reason = str(error)
     asked = {"lag": lag, "points": points, "lives": lives}
-    return FluctuationsResult(file, ensemble, exact, sample, reason, asked)
+    return FluctuationsResult(file, exact, sample, reason, asked)
 
 
 def sampled(
@@ -212,40 +211,23 @@ def sampled(
     small = replace(ensemble, count=_TOGETHER)
     long = replace(drive, distance=2.0 * drive.over(ensemble), start="stationary")
     each = predicted_lives(small, long)
-    ensembles = int(
-        min(max(lives / each, _FEWEST), _MOST_ENSEMBLES, 1e7 // (2 * points))
-    )
-    run = trajectory(
-        small,
-        long,
-        points=2 * points - 1,
-        seed=seed,
-        replicas=ensembles,
-        threads=threads,
-    )
+    enough, most = max(lives / each, _FEWEST_ENSEMBLES), 1e7 // (2 * points)
+    ensembles = int(min(enough, _MOST_ENSEMBLES, most))
+    how: dict[str, Any] = {"seed": seed, "replicas": ensembles, "threads": threads}
+    run = trajectory(small, long, points=2 * points - 1, **how)
     assert run.force_replicas is not None
     off = run.force_replicas - level
-    products = np.array(
-        [
-            np.mean(off[:, :points] * off[:, j : j + points], axis=1)
-            for j in range(points)
-        ]
-    )  # (points, ensembles)
+    products = np.array(  # (points, ensembles)
+        [(off[:, :points] * off[:, j : j + points]).mean(1) for j in range(points)]
+    )
     found = _TOGETHER * products
     about = (products[0] - products[0].mean()) ** 2
     stderr = found.std(axis=1, ddof=1) / math.sqrt(ensembles)
     unmet = _unmet(ensemble, drive.velocity, exact, _TOGETHER * ensembles, run.lives)
-    return Sample(
-        covariance=found.mean(axis=1),
-        stderr=np.hypot(stderr, unmet),
-        reliable=bool(
-            about.max() < _DOMINANT * about.sum()
-            and unmet < _DOMINANT * known(exact.force_variance)
-        ),
-        contacts=_TOGETHER,
-        ensembles=ensembles,
-        lives=run.lives,
-    )
+    even = about.max() < _DOMINANT * about.sum()
+    reliable = bool(even and unmet < _DOMINANT * known(exact.force_variance))
+    counts = _TOGETHER, ensembles, run.lives
+    return Sample(found.mean(axis=1), np.hypot(stderr, unmet), reliable, *counts)
 
 
 def _unmet(
@@ -256,25 +238,20 @@ def _unmet(
     stationary state and the `lives` that begin later."""
     if ensemble.fluctuates:
         return 0.0  # thresholds of gamma laws, whose lives take paths
-    c = contacts(
-        ensemble,
-        velocity,
-        known(exact.break_stretch) if ensemble.self_consistent else None,
+    stretch = known(exact.break_stretch) if ensemble.self_consistent else None
+    born, unit = (
+        births(contacts(ensemble, velocity, stretch)),
+        ensemble.thresholds.scale,
     )
-    born, unit = births(c), ensemble.thresholds.scale
-    square = (
-        born.stiffness**2
-        * born.travel
-        * (born.birth**2 + born.travel * (born.birth + born.travel / 3.0))
-    )
+    travel = born.travel
+    mean_square = born.birth**2 + travel * (born.birth + travel / 3.0)
+    square = born.stiffness**2 * travel * mean_square
     cycle = known(exact.travel) / unit / known(exact.pinned)
-    expected = born.share * (initial * born.travel / cycle + lives)
+    expected = born.share * (initial * travel / cycle + lives)
     order = np.argsort(-square)
     met = np.cumsum(expected[order]) >= _UNMET
     drag = drag_of(ensemble, velocity)
     second = (known(exact.force_variance) + known(exact.friction) ** 2) / unit**2
     pinned = second - drag**2 * (1.0 - known(exact.pinned))
-    return (
-        max(pinned - float(np.sum((born.share * square)[order][met])) / cycle, 0.0)
-        * unit**2
-    )
+    seen = float(np.sum((born.share * square)[order][met])) / cycle
+    return max(pinned - seen, 0.0) * unit**2

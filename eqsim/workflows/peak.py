@@ -10,25 +10,15 @@ from eqsim.master.peak import WINDOW, Peak, tip, top_of, vertex
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 
-_PLATEAU, _KINK = 0.25, 0.05  # of the window; of the height
+_PLATEAU = 0.25  # of the window, over which a reliable maximum may extend
+_KINK = 0.05  # of the height, which a reliable maximum may miss
 
 
 def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | None:
     """The first maximum of the force of a run after a fresh start, within four rms
-    thresholds.
-
-    Parameters
-    ----------
-    ensemble, drive
-        What was simulated.
-    found : Trajectory
-        Its force, on a grid that has several points on the way to the peak.
-
-    Returns
-    -------
-    Peak or None
-        With standard errors; without values where no maximum is seen. None of a
-        stationary start, which has no peak.
+    thresholds, with standard errors; without values where no maximum is seen, and None
+    of a stationary start, which has no peak. The grid of the run needs several points
+    on the way to the peak.
     """
     if drive.start == "stationary":
         return None

@@ -5,22 +5,27 @@ import dataclasses
 import json
 import tempfile
 from collections.abc import Callable, Mapping
+from math import isnan, nan
 from pathlib import Path
 from typing import Any
 
-from eqsim.engine.records import ElasticTrajectory, SliderTrajectory
+from eqsim import validation
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.export import RENAMED_COLUMNS
 from eqsim.io.runfile import stored
+from eqsim.master.stability import border, pulled_by
 from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked
 from eqsim.sweeps.scheduler import sweep
 from eqsim.sweeps.workers import Workers
 from eqsim.workflows.curve import curve
-from eqsim.workflows.run import Progress, RunResult, run
+from eqsim.workflows.fluctuations import run_fluctuations
+from eqsim.workflows.report import Progress
+from eqsim.workflows.run import run
 
 _TIMES = ("seconds",)  # columns that no repetition can reproduce
+_UNREADABLE = (OSError, KeyError, ValueError, TypeError, RecursionError)
 Table = Any  # a pandas DataFrame, or columns by name
 # Makes a table again, from its provenance, the table, threads or processes, and
 # progress.
@@ -101,11 +106,10 @@ def replay(
     changed = {
         name: (then, here.get(name, "none"))
         for name, then in origin["versions"].items()
+        if then != here.get(name, "none")
     }
-    return Replay(
-        origin["command"], len(table), compare(table, again),
-        {name: pair for name, pair in changed.items() if pair[0] != pair[1]},
-    )  # fmt: skip
+    differences = compare(table, again)
+    return Replay(origin["command"], len(table), differences, changed)
 
 
 def _read(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, dict[str, Any]]:
@@ -124,32 +128,20 @@ def _read(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, dict[str, An
     try:
         table = pq.read_table(pyarrow.BufferReader(content))
         origin = json.loads((table.schema.metadata or {})[b"eqsim"])
-        sound = isinstance(origin["settings"], dict) and isinstance(
-            origin["versions"], dict
-        )
-        if sound and origin["command"] in repeat:
+        parts = origin["settings"], origin["versions"]
+        command = origin["command"] if all(isinstance(x, dict) for x in parts) else None
+        if command in repeat:
             return table.to_pandas(), origin
-    except (
-        pyarrow.ArrowException,
-        OSError,
-        KeyError,
-        ValueError,
-        TypeError,
-        RecursionError,
-    ):
-        sound = False
-    if sound and origin["command"] == "figures":
-        raise InputError(
-            f"{path}: holds a figure of the paper; "
-            "`python -m analysis.figures --replay` makes it again"
-        )
-    if sound and isinstance(origin["command"], str):
-        raise InputError(
-            f"{path}: was written by `eqsim {origin['command']}`; only tables of {known} can be replayed"
-        )
-    raise InputError(
-        f"{path}: is not a Parquet file that eqsim has written, or is damaged"
-    )
+    except (*_UNREADABLE, pyarrow.ArrowException):
+        command = None
+    said = "is not a Parquet file that eqsim has written, or is damaged"
+    if command == "figures":
+        again = "`python -m analysis.figures --replay` makes it again"
+        said = f"holds a figure of the paper; {again}"
+    elif isinstance(command, str):
+        only = f"only tables of {known} can be replayed"
+        said = f"was written by `eqsim {command}`; {only}"
+    raise InputError(f"{path}: {said}")
 
 
 def compare(table: Table, again: Table) -> dict[str, tuple[int, float | None]]:
@@ -166,11 +158,8 @@ def compare(table: Table, again: Table) -> dict[str, tuple[int, float | None]]:
         other = ~((then == now) | (then.isna() & now.isna()))
         if other.any():
             numbers = then.dtype.kind in "iuf" and now.dtype.kind in "iuf"
-            by = (then - now)[other].abs() if numbers else None
-            found[name] = (
-                int(other.sum()),
-                None if by is None or by.isna().any() else float(by.max()),
-            )
+            by = float((then - now)[other].abs().max(skipna=False)) if numbers else nan
+            found[name] = (int(other.sum()), None if isnan(by) else by)
     return found
 
 
@@ -179,43 +168,20 @@ def _run(
 ) -> Table:
     file = stored(origin["settings"], origin["folder"])
     result = run(file, threads=workers, max_lives=1e300, progress=progress)
-    found = result.trajectory
-    if isinstance(found, ElasticTrajectory):
-        return (
-            found.avalanches
-            if "drop" in table
-            else found.blocks
-            if "block" in table
-            else found.columns()
-        )
-    if (
-        isinstance(result, RunResult)
-        and result.breaks is not None
-        and "contact" in table
-    ):
-        return result.breaks.columns()
-    if "replica" in table and "force" in table:
-        return found.replicas()
-    avalanches = found.avalanches if isinstance(found, SliderTrajectory) else None
-    return (
-        avalanches if avalanches is not None and "breaks" in table else found.columns()
-    )
+    names = set(table)
+    return max(result.tables().values(), key=lambda one: len(names & set(one)))
 
 
 def _reference(
     origin: dict[str, Any], table: Table, _: int, progress: Progress
 ) -> Table:
-    return curve(
-        stored(origin["settings"], origin["folder"]),
-        closure="mean_threshold" in table,
-    )
+    file = stored(origin["settings"], origin["folder"])
+    return curve(file, closure="mean_threshold" in table).columns
 
 
 def _fluctuations(
     origin: dict[str, Any], _: Table, workers: int, progress: Progress
 ) -> Table:
-    from eqsim.workflows.fluctuations import run_fluctuations
-
     asked = origin["settings"]
     file = stored(asked["run"], origin["folder"])
     how = {name: asked[name] for name in ("lag", "points", "lives")}
@@ -225,25 +191,19 @@ def _fluctuations(
 def _stability(
     origin: dict[str, Any], table: Table, _: int, progress: Progress
 ) -> Table:
-    from eqsim.master.stability import border, pulled_by
-
     file = stored(origin["settings"], origin["folder"])
     pulled = pulled_by(file.ensemble, file.drive)
     critical = bool(table["critical_stiffness"].notna().any())
-    return border(
-        pulled, table["velocity"].tolist(), critical=critical, progress=progress
-    )
+    velocities = table["velocity"].tolist()
+    return border(pulled, velocities, critical=critical, progress=progress)
 
 
 def _validate(
     origin: dict[str, Any], _: Table, workers: int, progress: Progress
 ) -> Table:
-    from eqsim.validation import columns, validate
-
-    suite = origin["settings"]["suite"]
-    return columns(
-        validate(suite, seed=origin["seed"], threads=workers, progress=progress).scores
-    )
+    suite, seed = origin["settings"]["suite"], origin["seed"]
+    found = validation.validate(suite, seed=seed, threads=workers, progress=progress)
+    return validation.columns(found.scores)
 
 
 def _sweep(
@@ -256,13 +216,13 @@ def _sweep(
     settings = origin["settings"]
     plan = Plan(stored(settings["sweep"], origin["folder"]), table["id"].tolist())
     if len(table) != plan.size:
+        of = f"{len(table)} of the {plan.size} points"
         raise InputError(
-            f"the table holds {len(table)} of the {plan.size} points of a sweep that was not finished; "
+            f"the table holds {of} of a sweep that was not finished; "
             "only the table of a finished one, sweep.parquet, can be replayed"
         )
-    asked = Asked(
-        **{field.name: settings[field.name] for field in dataclasses.fields(Asked)}
-    )
+    names = [field.name for field in dataclasses.fields(Asked)]
+    asked = Asked(**{name: settings[name] for name in names})
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "again"
         sweep(plan, out, asked=asked, workers=Workers(workers), progress=progress)

@@ -1,12 +1,12 @@
 """Everything that `eqsim run` computes: a run, and what it is compared with."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -21,28 +21,31 @@ from eqsim.engine.records import (
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
-from eqsim.estimate import Estimate
-from eqsim.io import storage
+from eqsim.estimate import Estimate, difference
+from eqsim.io import terminal
 from eqsim.io.runfile import RunFile, opened
+from eqsim.io.units import Row
+from eqsim.lazy import lazily
 from eqsim.master.peak import Peak, first_peak
 from eqsim.master.steady import reference
-from eqsim.master.transient import Transient, transient
-from eqsim.model.drive import Drive, Programme
-from eqsim.model.ensemble import Ensemble
-from eqsim.results import OfTrajectory
+from eqsim.model.drive import Drive
 from eqsim.sweeps.workers import Workers
+from eqsim.workflows.averages import unit_column
 from eqsim.workflows.elastic import ElasticResult, run_elastic
 from eqsim.workflows.peak import static_peak
+from eqsim.workflows.report import Progress, Simulated, if_any
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+with lazily():
+    from eqsim.plots import panels, runs
 
-Progress = Callable[[int, float], None]
-Result = TypeVar("Result")
+
+_MOST_ROWS = 40  # segments or slips that a table shows
+_MOST_NAMED = 8  # slips that are named in a remark
+_CUT = "the record {} in the midst of {}: drop, time and distance (>) are those of what it shows"
 
 
 @dataclass(frozen=True, repr=False)
-class RunResult(OfTrajectory):
+class RunResult(Simulated):
     """A run file that was simulated.
 
     Attributes
@@ -56,21 +59,15 @@ class RunResult(OfTrajectory):
         What was found.
     breaks : Breaks or None
         If `output.breaks` asks for them.
+    who : str
+        Whether threads or workers shared the work.
     """
 
     file: RunFile
-    ensemble: Ensemble
-    drive: Drive
     steady: Steady
     trajectory: Trajectory
     breaks: Breaks | None = None
-
-    @cached_property
-    def exact(self) -> tuple[Transient | None, str]:
-        """The exact mean, or None and why there is none."""
-        return if_any(
-            lambda: transient(self.ensemble, self.drive, self.file.output.points)
-        )
+    who: str = "threads"
 
     @cached_property
     def peak(self) -> Peak | None:
@@ -86,82 +83,105 @@ class RunResult(OfTrajectory):
 
     def _peaks(self) -> dict[str, Any]:
         """For JSON."""
-        seen, exact = self.peak, self.exact_peak
+        seen, exact, known = self.peak, self.exact_peak, None
         if seen is None:
             return {}
-        level, known = self.steady.friction, None
         if exact is not None:
-            known = {name: getattr(exact, name).value for name in Peak._fields}
-            known["ratio"] = _over(
-                exact.force, reference(self.ensemble, self.drive).friction
-            ).value
-        found = {**seen._asdict(), "ratio": _over(seen.force, level)}
-        return {
-            "peak": {
-                **{name: one.as_dict() for name, one in found.items()},
-                "exact": known,
-            }
-        }
+            level = reference(self.ensemble, self.drive).friction
+            known = {name: one.value for name, one in exact._asdict().items()}
+            known["ratio"] = _over(exact.force, level).value
+        found = {**seen._asdict(), "ratio": _over(seen.force, self.steady.friction)}
+        shown = {name: one.as_dict() for name, one in found.items()}
+        return {"peak": {**shown, "exact": known}}
 
     def summary(self) -> dict[str, Any]:
-        """The content of `summary.json`."""
-        found = self.trajectory
+        found, divergence = self.trajectory, self.ensemble.divergence
+        averages, level = found.averages.averages(), self.steady.averages()
         return {
             "title": self.file.title,
-            **{
-                name: estimate.as_dict()
-                for name, estimate in found.averages.averages().items()
-            },
+            **{name: estimate.as_dict() for name, estimate in averages.items()},
             **self._peaks(),
-            **(
-                {"divergence": self.ensemble.divergence}
-                if self.ensemble.divergence
-                else {}
-            ),
+            **({"divergence": divergence} if divergence else {}),
             "force_reliable": found.force_reliable,
-            "steady": {
-                name: estimate.as_dict()
-                for name, estimate in self.steady.averages().items()
-            },
+            "steady": {name: estimate.as_dict() for name, estimate in level.items()},
             **self.file.physical(found.averages.friction, self.steady.friction.value),
-            **_how(found),
+            **self.made(),
         }
 
-    def files(
-        self, title: str = "", formats: Sequence[str] = ("png",)
-    ) -> dict[str, bytes]:
-        """The files of a results folder by name; `title` of the picture, unless the run
-        file has one."""
-        found = _files(self, formats, self.picture(title))
-        if self.breaks is not None:
-            found["breaks.parquet"] = storage.parquet(
-                self.breaks.columns(), _origin(self)
-            )
-        return found
+    def tables(self) -> dict[str, Any]:
+        """The trajectory, and series and breaks if they are asked for."""
+        listed = {"breaks": self.breaks.columns()} if self.breaks is not None else {}
+        return super().tables() | listed
 
-    def picture(self, title: str = "") -> "Figure":
+    def figures(self, title: str) -> dict[str, Any]:
         """The force against displacement beside the exact mean and the steady value."""
-        from eqsim.io.plots import caption, trajectory_figure
+        caption = panels.Caption.of(self.file, title, self.steady.friction.value)
+        draw, exact = runs.trajectory_figure, self.exact[0]
+        return {"force": draw(self.trajectory, self.steady, exact, caption)}
 
-        said = caption(self.file, self.steady.friction, title)
-        return trajectory_figure(self.trajectory, self.steady, self.exact[0], said)
+    def rows(self) -> Iterator[tuple[Any, ...]]:
+        """Averages and the peak beside what is expected."""
+        averages = self.trajectory.averages
+        rows = self.file.rows(averages)
+        yield "", "this run", "expected", *unit_column(rows), "z"
+        for name, row in rows:
+            found, level = getattr(averages, name), getattr(self.steady, name)
+            yield _beside(row, found, level, without=found.diverges)
+        if self.peak is None:
+            return
+        quantity, length = self.file.preferred(self.peak.force), rows[0][1].unit
+        unit = (quantity.unit,) if quantity else length
+        forces = Row("peak_force", unit, quantity)
+        for name, row in (("force", forces), ("X", Row("peak_X", length))):
+            exact = getattr(self.exact_peak, name, None)
+            yield _beside(row, getattr(self.peak, name), exact, without=exact is None)
+
+    def notes(self) -> Iterator[str]:
+        averages = self.trajectory.averages.averages().values()
+        if self.ensemble.divergence:
+            yield self.ensemble.divergence
+        if not all(one.reliable or one.diverges for one in averages):
+            yield "unreliable: the steady state was not reached before the second half, or too few contacts broke in it"
+        if self.peak:
+            yield "averages: over the second half of the run; peak: the first maximum of the force after the start"
+        yield from _doubt(self.trajectory)
+        yield from self.speed()
+
+
+def _beside(
+    row: Row, found: Estimate, exact: Estimate | None, without: bool
+) -> tuple[Any, ...]:
+    """A row of a table: an estimate beside what is expected, `without` their
+    difference."""
+    z = "none"
+    if exact is not None and not without and found.value is not None:
+        z = terminal.score(difference(found, exact))
+    known = "none" if exact is None else row.of(exact)
+    return row.label, row.of(found), known, *row.unit, z
+
+
+def _doubt(found: Any) -> Iterator[str]:
+    if not found.force_reliable:
+        yield "force_stderr: not to be trusted, forces this heavy-tailed need more contacts"
+
+
+def _over(peak: Estimate, level: Estimate) -> Estimate:
+    """A static peak over the steady friction."""
+    if not peak.value or not level.value:
+        return Estimate(None, None, peak.n, reliable=False)
+    errors = (peak.stderr or 0.0) / peak.value, (level.stderr or 0.0) / level.value
+    value = peak.value / level.value
+    stderr = abs(value) * math.hypot(*errors)
+    return Estimate(value, stderr, peak.n, None, peak.reliable)
 
 
 @dataclass(frozen=True, repr=False)
-class ProgrammeResult(OfTrajectory):
+class ProgrammeResult(Simulated):
     """A run file with a programme that was simulated."""
 
     file: RunFile
-    ensemble: Ensemble
-    drive: Programme
     trajectory: ProgrammeTrajectory
-
-    @cached_property
-    def exact(self) -> tuple[Transient | None, str]:
-        """The exact mean, or None and why there is none."""
-        return if_any(
-            lambda: transient(self.ensemble, self.drive, self.file.output.points)
-        )
+    who: str = "threads"
 
     @cached_property
     def exact_segments(self) -> tuple[SegmentRecord, ...]:
@@ -169,66 +189,73 @@ class ProgrammeResult(OfTrajectory):
         exact = self.exact[0]
         if exact is None:
             return ()
-        grid = self.drive.grid(self.file.output.points)
         # behind a spring the grid knows where the stage is, and the solution where the
         # slider is
-        return shown_by(
-            self.drive,
-            grid._replace(X=exact.X),
-            exact.force,
-            exact.force_error,
-            X_stderr=exact.X_error,
-        )
+        grid = self.drive.grid(self.file.output.points)._replace(X=exact.X)
+        error = exact.force_error
+        return shown_by(self.drive, grid, exact.force, error, X_stderr=exact.X_error)
 
     def summary(self) -> dict[str, Any]:
-        """The content of `summary.json`."""
-        found, exact = self.trajectory, self.exact_segments
+        found = self.trajectory
         segments = [asdict(segment) for segment in found.segments]
-        for segment, known in zip(segments, exact, strict=False):
-            segment["exact"] = {
-                "end": known.end.value,
-                "peak": known.peak.value,
-                "at": known.at.value,
-            }
+        for segment, known in zip(segments, self.exact_segments, strict=False):
+            names = ("end", "peak", "at")
+            segment["exact"] = {name: getattr(known, name).value for name in names}
+        # what a force F/(N k) is multiplied by, and the unit then
+        physical = {
+            one.name: {"factor": one.factor, "unit": one.unit}
+            for one in self.file.quantities
+        }
         return {
             "title": self.file.title,
             "segments": segments,
-            **self._physical(),
+            **({"physical": physical} if physical else {}),
             "force_reliable": found.force_reliable,
-            **_how(found),
+            **self.made(),
         }
 
-    def _physical(self) -> dict[str, Any]:
-        """Of each quantity of the interface, what a force F/(N k) is multiplied by, and
-        its unit."""
-        known = self.file.quantities
-        return (
-            {
-                "physical": {
-                    one.name: {"factor": one.factor, "unit": one.unit} for one in known
-                }
-            }
-            if known
-            else {}
-        )
-
-    def files(
-        self, title: str = "", formats: Sequence[str] = ("png",)
-    ) -> dict[str, bytes]:
-        """The files of a results folder by name; `title` of the picture, unless the run
-        file has one."""
-        return _files(self, formats, self.picture(title))
-
-    def picture(self, title: str = "") -> "Figure":
+    def figures(self, title: str) -> dict[str, Any]:
         """The force along the programme."""
-        from eqsim.io.plots import caption, programme_figure
+        level = float(np.abs(self.trajectory.force).max())
+        caption = panels.Caption.of(self.file, title, level)
+        draw = runs.programme_figure
+        return {"force": draw(self.trajectory, self.exact[0], caption)}
 
-        largest = Estimate(float(np.abs(self.trajectory.force).max()), None, 0)
-        return programme_figure(
-            self.trajectory,
-            self.exact[0],
-            caption(self.file, largest, title),
-        )
+    def rows(self) -> Iterator[tuple[Any, ...]]:
+        """What each segment shows, forces as a quantity of the interface, if there is
+        one; z is the difference of the force at its end from the exact mean in standard
+        errors."""
+        exact, found = self.exact_segments, self.trajectory.segments
+        shown = self.file.preferred(found[0].peak)
+        forces, row = ("force then", "z", "peak"), Row("", (), shown)
+        if shown:
+            unit = f" [{shown.unit}]" * bool(shown.unit)
+            forces = f"{shown.symbol} then{unit}", "z", f"{shown.symbol} at its peak"
+        yield "", "velocity", "until t", *forces, "after X or t"
+        for index, segment in enumerate(found[:_MOST_ROWS]):
+            z = "none"
+            if exact:
+                z = terminal.score(difference(segment.end, exact[index].end))
+            velocity = "hold" if segment.velocity == 0 else f"{segment.velocity:.6g}"
+            end, peak = row.of(segment.end), row.of(segment.peak)
+            yield str(index), velocity, f"{segment.t:.6g}", end, z, peak, segment.at
+        if len(found) > _MOST_ROWS:
+            yield "...", *[""] * 6
+
+    def notes(self) -> Iterator[str]:
+        for index, segment in enumerate(self.trajectory.segments[:_MOST_ROWS]):
+            if segment.step:
+                effects = ", ".join(
+                    f"{name} {getattr(segment.step, name)}"
+                    for name in ("direct", "evolution", "memory")
+                )
+                yield f"velocity step of segment {index}, effects per ln v and length: {effects}"
+        yield from self.doubts()
+        yield from self.speed()
+
+    def doubts(self) -> Iterator[str]:
+        """Notes on errors that cannot be trusted."""
+        yield from _doubt(self.trajectory)
 
 
 @dataclass(frozen=True, repr=False)
@@ -238,83 +265,51 @@ class SliderResult(ProgrammeResult):
     trajectory: SliderTrajectory
 
     def summary(self) -> dict[str, Any]:
-        """The content of `summary.json`."""
         found = self.trajectory
-        slips = {"slips": [asdict(slip) for slip in found.slips]}
-        return (
-            super().summary()
-            | {"period": found.period.as_dict(), "drop": found.drop.as_dict()}
-            | slips
-        )
+        means = {name: getattr(found, name).as_dict() for name in ("period", "drop")}
+        slips = [asdict(slip) for slip in found.slips]
+        return super().summary() | means | {"slips": slips}
 
-    def picture(self, title: str = "") -> "Figure":
+    def tables(self) -> dict[str, Any]:
+        """The trajectory, and avalanches of a slider without mass and damping."""
+        avalanches = self.trajectory.avalanches
+        listed = {} if avalanches is None else {"avalanches": avalanches}
+        return super().tables() | listed
+
+    def figures(self, title: str) -> dict[str, Any]:
         """Forces and displacements of slider and stage."""
-        from eqsim.io.plots import caption, slider_figure
+        level = float(np.abs(self.trajectory.spring).max())
+        caption = panels.Caption.of(self.file, title, level)
+        return {"force": runs.slider_figure(self.trajectory, self.exact[0], caption)}
 
-        largest = Estimate(float(np.abs(self.trajectory.spring).max()), None, 0)
-        return slider_figure(
-            self.trajectory,
-            self.exact[0],
-            caption(self.file, largest, title),
-        )
+    def rows(self) -> Iterator[tuple[Any, ...]]:
+        """Each slip, and means of all but the first."""
+        found = self.trajectory
+        yield "slip", "at t", "at X", "drop of the force", "takes", "over"
+        for index, slip in enumerate(found.slips[:_MOST_ROWS]):
+            least = "" if slip.begun and slip.ended else "> "
+            distance = abs(slip.distance) if least else slip.distance
+            sizes = (slip.drop, slip.duration, distance)
+            places = (f"{number:.6g}" for number in (slip.t, slip.X))
+            yield str(index), *places, *(f"{least}{number:.6g}" for number in sizes)
+        if len(found.slips) > _MOST_ROWS:
+            yield "...", *[""] * 5
+        if found.period.value is not None:
+            yield "mean", f"every {found.period}", "", found.drop, "", ""
 
-    def files(
-        self, title: str = "", formats: Sequence[str] = ("png",)
-    ) -> dict[str, bytes]:
-        """The files of a results folder by name; `title` of the picture, unless the run
-        file has one."""
-        found = super().files(title, formats)
-        if self.trajectory.avalanches is not None:
-            found["avalanches.parquet"] = storage.parquet(
-                self.trajectory.avalanches, _origin(self)
-            )
-        return found
-
-
-def _over(peak: Estimate, level: Estimate) -> Estimate:
-    """A static peak over the steady friction."""
-    if not peak.value or not level.value:
-        return Estimate(None, None, peak.n, reliable=False)
-    relative = math.hypot(
-        (peak.stderr or 0.0) / peak.value, (level.stderr or 0.0) / level.value
-    )
-    value = peak.value / level.value
-    return Estimate(value, abs(value) * relative, peak.n, None, peak.reliable)
-
-
-def _how(found: Trajectory | ProgrammeTrajectory) -> dict[str, Any]:
-    """How it was computed."""
-    names = ("lives", "engine_seconds", "threads", "seed")
-    return {
-        **{name: getattr(found, name) for name in names},
-        "versions": storage.versions(),
-    }
-
-
-def _origin(result: RunResult | ProgrammeResult) -> dict[str, Any]:
-    file = result.file
-    return storage.provenance(
-        "run", file.settings, file.text, file.output.seed, file.folder
-    )
-
-
-def _files(
-    result: RunResult | ProgrammeResult, formats: Sequence[str], picture: "Figure"
-) -> dict[str, bytes]:
-    from eqsim.io.style import pictures
-
-    found = {
-        "trajectory.parquet": storage.parquet(
-            result.trajectory.columns(), _origin(result)
-        ),
-        "summary.json": storage.to_json(result.summary()).encode(),
-        **pictures("force", picture, formats),
-    }
-    if result.file.output.series:
-        found["replicas.parquet"] = storage.parquet(
-            result.trajectory.replicas(), _origin(result)
-        )
-    return found
+    def doubts(self) -> Iterator[str]:
+        """Notes on slips, which the record may cut, and on errors."""
+        slips = self.trajectory.slips
+        yield f"{len(slips)} slips" if slips else "no slip in this run"
+        for verb, whole in (("begins", "begun"), ("ends", "ended")):
+            cut = [str(i) for i, slip in enumerate(slips) if not getattr(slip, whole)]
+            if cut:
+                named = ", ".join(cut[:_MOST_NAMED]) + ", ..." * (
+                    len(cut) > _MOST_NAMED
+                )
+                yield _CUT.format(verb, f"slip{'s' * (len(cut) > 1)} {named}")
+        if not self.trajectory.force_reliable:
+            yield "force_stderr: that of contacts at this X; how far X differs between ensembles takes 8 replicas"
 
 
 def run(
@@ -361,14 +356,13 @@ def run(
             raise InputError(
                 "--workers, --dask: coupled blocks are simulated in one process; threads share replicas"
             )
-        return run_elastic(
-            file, drive, threads=threads, max_lives=max_lives, progress=progress
-        )
+        how: dict[str, Any] = {"threads": threads, "progress": progress}
+        return run_elastic(file, drive, max_lives=max_lives, **how)
+    size = output.points, output.seed, output.replicas
+    many: dict[str, Any] = {"seed": output.seed, "replicas": output.replicas}
     rough = 5e-3 if ensemble.fluctuates else 1e-3
     with ExitStack() as stack:
-        expected = check_run(
-            ensemble, drive, output.points, output.seed, output.replicas, max_lives
-        )
+        expected = check_run(ensemble, drive, *size, max_lives)
         if output.series and workers:
             raise InputError(
                 "output.series: every series is kept by threads; not with --workers or --dask"
@@ -380,33 +374,19 @@ def run(
         level = None
         if isinstance(drive, Drive):
             level = steady(
-                ensemble,
-                drive,
-                rel_error=rough,
-                seed=output.seed,
-                threads=threads,
-                max_lives=max_lives,
-            )
+                ensemble, drive, rel_error=rough, seed=output.seed, threads=threads, max_lives=max_lives
+            )  # fmt: skip
         found: Any = trajectory(
-            ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, max_lives=max_lives,
+            ensemble, drive, points=output.points, **many, max_lives=max_lives,
             threads=(pool.executor, pool.slots()) if pool else threads,
             progress=lambda lives: progress(lives, expected),
         )  # fmt: skip
-        if isinstance(drive, Programme):
-            kind = SliderResult if drive.stage else ProgrammeResult
-            return kind(file, ensemble, drive, found)
-    assert level is not None
-    listed = None
-    if output.breaks:
-        listed = breaks(
-            ensemble, drive, seed=output.seed, replicas=output.replicas, threads=threads
+    who = "workers" if workers else "threads"
+    if isinstance(drive, Drive):
+        assert level
+        listed = (
+            breaks(ensemble, drive, **many, threads=threads) if output.breaks else None
         )
-    return RunResult(file, ensemble, drive, level, found, listed)
-
-
-def if_any(solve: Callable[[], Result]) -> tuple[Result | None, str]:
-    """An exact result, or None and why there is none."""
-    try:
-        return solve(), ""
-    except InputError as error:
-        return None, str(error)
+        return RunResult(file, level, found, listed, who)
+    kind = SliderResult if drive.stage else ProgrammeResult
+    return kind(file, found, who)

@@ -103,13 +103,10 @@ def _with_grid(file: RunFile, grid: dict[str, Any]) -> RunFile:
             '{"drive.velocity": [0.1, 1.0]}'
         )
 
-    def plain(values: Any) -> Any:
-        return (
-            np.asarray(values).tolist()
-            if isinstance(values, (np.ndarray, tuple, range))
-            else values
-        )
-
-    axes = {key: plain(values) for key, values in grid.items()}
+    several = (np.ndarray, tuple, range)
+    axes = {
+        key: np.asarray(values).tolist() if isinstance(values, several) else values
+        for key, values in grid.items()
+    }
     content = {**copied(file.given, without=("fit",)), "sweep": axes}
     return replace(check(content, file.folder), text=file.text)

@@ -18,7 +18,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy import stats
 
-from eqsim.io import storage, style
+from eqsim.io import storage
+from eqsim.plots import style
 from eqsim.validation.comparison import REASONS, Score
 from eqsim.validation.points import SUITES
 from eqsim.validation.verdict import ALARM, KINDS, judge, p_overall

@@ -14,14 +14,12 @@ from eqsim.errors import require_choice
 
 # Okabe and Ito (2008), colours that all kinds of colour vision tell apart, without the
 # yellow that paper swallows.
-BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = (
-    "#0072B2",
-    "#E69F00",
-    "#009E73",
-    "#D55E00",
-    "#CC79A7",
-    "#56B4E9",
-)
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+GREEN = "#009E73"
+VERMILION = "#D55E00"
+PURPLE = "#CC79A7"
+SKY = "#56B4E9"
 COLORS = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, "#000000", "#8C8C8C")
 MARKERS = "os^DvPX<>ph*"
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
@@ -37,32 +35,45 @@ STYLE: dict[str, Any] = {
     "pdf.fonttype": 42,
     "svg.hashsalt": "eqsim",  # the same picture has the same bytes
 }
+# What pictures of commands have besides.
+PANELS: dict[str, Any] = {
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "figure.constrained_layout.use": True,
+    "figure.titlesize": 10,
+    "lines.linewidth": 1.0,
+}
 _UNDATED: dict[str, dict[str, Any]] = {
-    "png": {"Software": "eqsim"}, "pdf": {"CreationDate": None, "Creator": "eqsim"}, "svg": {"Date": None},
-}  # fmt: skip
-_FLAT = 1e-5  # an axis whose values differ relatively by less shows a band of 1 % around them
+    "png": {"Software": "eqsim"},
+    "pdf": {"CreationDate": None, "Creator": "eqsim"},
+    "svg": {"Date": None},
+}
+# An axis whose values differ relatively by less shows a band of 1 % around them.
+_FLAT = 1e-5
 Arguments = ParamSpec("Arguments")
 
 
 def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
-    """A function that draws, in this style."""
+    """Let a function draw in this style."""
 
     @functools.wraps(draw)
     def drawn(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
-        with matplotlib.rc_context(STYLE):
+        with matplotlib.rc_context(STYLE | PANELS):
             return draw(*args, **kwargs)
 
     return drawn
 
 
 def saved(figure: Figure, form: str = "png") -> bytes:
-    """A picture as the content of a file. Raises InputError unless `form` is one of
-    `FORMATS`."""
+    """Render a picture as the content of a file. Raises InputError unless `form` is one
+    of `FORMATS`."""
     require_choice("format", form, FORMATS)
     buffer = io.BytesIO()
     with matplotlib.rc_context(STYLE):
         for axes in figure.axes:
-            _not_flat(axes)
+            low, high = axes.get_ylim()
+            if 0 < abs(high - low) < _FLAT * max(abs(low), abs(high)):
+                not_flat(axes)
         figure.savefig(buffer, format=form, metadata=_UNDATED[form])
     return buffer.getvalue()
 
@@ -70,15 +81,14 @@ def saved(figure: Figure, form: str = "png") -> bytes:
 def pictures(
     name: str, figure: Figure, formats: Sequence[str] = ("png",)
 ) -> dict[str, bytes]:
-    """A picture in some formats, by the names of the files."""
+    """Render a picture in some formats, by the names of the files."""
     return {f"{name}.{form}": saved(figure, form) for form in formats}
 
 
-def _not_flat(axes: Any) -> None:
-    """Widen limits between which there is nothing but rounding."""
+def not_flat(axes: Any) -> None:
+    """Widen a linear axis to 1 % of its values, so that a flat curve looks flat."""
     low, high = axes.get_ylim()
-    size = max(abs(low), abs(high))
-    if axes.get_yscale() == "linear" and 0 < abs(high - low) < _FLAT * size:
-        axes.set_ylim(
-            0.5 * (low + high) - 0.005 * size, 0.5 * (low + high) + 0.005 * size
-        )
+    least = 0.01 * max(abs(low), abs(high))
+    if axes.get_yscale() == "linear" and abs(high - low) < least:
+        middle = 0.5 * (low + high)
+        axes.set_ylim(middle - 0.5 * least, middle + 0.5 * least)

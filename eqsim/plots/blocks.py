@@ -1,0 +1,147 @@
+"""Pictures of coupled blocks on a plate."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from eqsim.estimate import Estimate
+from eqsim.numerics.tables import Array
+from eqsim.plots.panels import DOTS, Caption
+from eqsim.plots.runs import spread
+from eqsim.plots.style import styled
+from eqsim.results import draw_band
+
+if TYPE_CHECKING:
+    from eqsim.engine.records import ElasticTrajectory
+
+_BINS_PER_DECADE = 8  # of a picture of sizes
+_BRIGHTEST = 0.999  # quantile of an image that is the end of its scale
+_MOST_ROWS = 1000  # of an image in space and time, along each side
+
+
+@styled
+def elastic_figure(
+    run: "ElasticTrajectory", friction: Estimate, caption: Caption
+) -> Figure:
+    """Draw F(D) with its error band and the exact mean over displacement; below, how
+    far blocks are apart."""
+    figure = Figure(figsize=(8, 5.5))
+    top, low = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1.0])
+    for label, band in spread(top, run.D, run).items():
+        band.set_label(label)
+    of = "" if run.force_replica_std is not None else " of contacts at the same X"
+    said = f"simulated contacts, mean ± 2 standard errors{of}"
+    draw_band(top, run.D, run.force, 2 * run.force_stderr, label=said)
+    label = "exact mean over displacement, steady sliding"
+    top.axhline(friction.value or 0.0, color="C3", linestyle="--", label=label)
+    top.set(ylabel=caption.force, ylim=(0, None))
+    caption.beside(top)
+    top.set_title(caption.heading)
+    top.legend(loc="lower right")
+    low.plot(run.D, _in_space(run, "X").std(axis=1), color="C2")
+    low.set(xlabel=caption.along("D"), xlim=(run.D[0], run.D[-1]), ylim=(0, None))
+    low.set_ylabel(caption.unit("standard deviation\nof $X$ between blocks"))
+    return figure
+
+
+@styled
+def avalanches_figure(run: "ElasticTrajectory", law: Array, caption: Caption) -> Figure:
+    """Draw sizes of avalanches over the second half of the plate's way on the exact
+    law, P(1), P(2), ... ; and how many blocks take part."""
+    figure = Figure(figsize=(10, 4.4))
+    left, right = figure.subplots(1, 2)
+    late = run.avalanches["D"] > 0.5 * run.D[-1]
+    breaks, blocks = run.avalanches["breaks"][late], run.avalanches["blocks"][late]
+    most = int(breaks.max(initial=1))
+    count = int(np.ceil(_BINS_PER_DECADE * np.log10(most + 1.0))) + 1
+    edges = np.unique(np.rint(np.geomspace(1, most + 1, count)).astype(int)) - 0.5
+    width, centre = np.diff(edges), np.sqrt((edges[:-1] + 0.5) * (edges[1:] - 0.5))
+    seen, bins = np.histogram(breaks, edges)[0], np.digitize(breaks, edges) - 1
+    shown = seen > 0
+    share = (1.0 / max(breaks.size, 1) / width)[shown]
+    found, error = share * seen[shown], 2 * share * np.sqrt(seen[shown])
+    said = f"{breaks.size} simulated avalanches ± 2 roots of their number"
+    left.errorbar(centre[shown], found, error, color="C0", label=said, **DOTS)
+    if law.size:
+        sizes = np.arange(1, law.size + 1)
+        left.plot(sizes, law, color="k", label="infinitely many contacts (M/G/1)")
+    lowest = max(0.2 * found.min(initial=1.0), 1e-300)
+    left.set(xlim=(0.8, 1.3 * most), ylim=(lowest, 2.0), ylabel="probability  $P(s)$")
+    mean = np.bincount(bins, blocks, minlength=seen.size)[shown] / seen[shown]
+    said = "mean of the avalanches of that size"
+    squares = DOTS | {"color": "C1", "marker": "s"}
+    right.plot(centre[shown], mean, label=said, **squares)
+    line: dict[str, Any] = {"color": "0.6", "linewidth": 0.8, "linestyle": ":"}
+    right.plot([1, most], [1, most], label="every break in another block", **line)
+    right.set(ylabel="blocks that take part")
+    for axes, place in ((left, "lower left"), (right, "upper left")):
+        axes.set(xscale="log", yscale="log", xlabel="breaks of an avalanche  $s$")
+        axes.legend(loc=place)
+    figure.suptitle(caption.heading)
+    return figure
+
+
+@styled
+def fronts_figure(
+    run: "ElasticTrajectory", nx: int, ny: int, caption: Caption
+) -> Figure:
+    """Draw the first replica in space and time: how far each block is beyond the mean,
+    and breaks between records; of a sheet of `ny` rows of `nx` blocks along its middle
+    row, and the whole sheet at the end."""
+    sheet = ny > 1
+    figure = Figure(figsize=(10, 8.4 if sheet else 4.6))
+    above, *below = figure.subplots(1 + sheet, 2, squeeze=False)
+    X, breaks = _in_space(run, "X"), _in_space(run, "breaks")
+    row = slice(ny // 2 * nx, (ny // 2 + 1) * nx)
+    beyond, active = X - X.mean(axis=1, keepdims=True), np.diff(breaks, axis=0)
+    label = caption.unit("$X$ beyond the mean of all blocks")
+    size = nx, float(run.D[-1])
+    _image(above[0], beyond[:, row], size, label, spread=True)
+    _image(above[1], active[:, row], size, "breaks between two records")
+    plate = caption.length("displacement of the plate  $D$")
+    for axes in above:
+        axes.set(xlabel=f"block of row {ny // 2}" if sheet else "block", ylabel=plate)
+    for left, right in below:
+        last, force = (
+            values[-1].reshape(ny, nx) for values in (beyond, _in_space(run, "force"))
+        )
+        _image(left, last, (nx, ny), f"{label}, at the end", spread=True)
+        label = caption.unit("force $F / (n k)$, at the end")
+        _image(right, force, (nx, ny), label)
+        for axes in (left, right):
+            axes.set(xlabel="column", ylabel="row")
+    figure.suptitle(caption.heading)
+    return figure
+
+
+def _in_space(run: "ElasticTrajectory", name: str) -> Array:
+    """A column of the records of blocks of the first replica, shape (points, B)."""
+    points = run.D.size
+    blocks = int(run.blocks["block"][-1]) + 1
+    return np.asarray(run.blocks[name][: points * blocks].reshape(points, blocks))
+
+
+def _image(
+    axes: Axes,
+    values: Array,
+    size: tuple[float, float],
+    label: str,
+    spread: bool = False,
+) -> None:
+    """Draw values over space and time, or over space, thinned to what can be seen;
+    `size` is that of all of them in the units of the axes."""
+    rows, columns = (max(1, -(-count // _MOST_ROWS)) for count in values.shape)
+    values = values[::rows, ::columns]
+    limit = float(np.abs(values).max(initial=0.0)) or 1.0
+    look: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
+    if not spread:  # a few large values would leave all others in the dark
+        bright = float(np.quantile(values, _BRIGHTEST)) or 1.0
+        look = {"cmap": "magma", "vmin": values.min(), "vmax": bright}
+    place: dict[str, Any] = {"origin": "lower", "extent": (0.0, size[0], 0.0, size[1])}
+    how: dict[str, Any] = {"aspect": "auto", "interpolation": "nearest"}
+    image = axes.imshow(values, **place, **how, **look)
+    axes.grid(False)
+    ends = "neither" if spread else "max"
+    axes.figure.colorbar(image, ax=axes, label=label, extend=ends)

@@ -1,0 +1,103 @@
+"""What panels of pictures have in common: what a picture says besides its curves, a
+scale in units to the right, and differences in standard errors."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from eqsim.catalogue import LENGTH, Dimension
+from eqsim.estimate import Estimate
+from eqsim.io.labels import FORCE, axis, described, plain, unit_text, with_unit
+from eqsim.io.runfile import RunFile
+from eqsim.io.units import Quantity, Units
+from eqsim.numerics.tables import Array
+
+EXACT: dict[str, Any] = {"color": "k", "linewidth": 0.8, "linestyle": ":"}
+DOTS: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4}
+
+
+class Caption(NamedTuple):
+    """What a picture of a run says besides its curves: the title, what is simulated
+    (mathtext), units, what friction is at the interface, and of how many contacts and
+    replicas it is."""
+
+    title: str
+    detail: str = ""
+    units: Units = Units()
+    quantity: Quantity | None = None
+    contacts: int = 0
+    replicas: int = 1
+
+    @classmethod
+    def of(cls, file: RunFile, name: str = "", force: float | None = None) -> "Caption":
+        """Caption of a run file, titled `name` if it has no title, and whose `force` is
+        about so large."""
+        ensemble, units = file.ensemble, file.units
+        quantity = file.preferred(Estimate(force, None, 0))
+        size = ensemble.count, file.output.replicas
+        detail = described(ensemble, units, tex=True)
+        return cls(file.title or name, detail, units, quantity, *size)
+
+    @property
+    def heading(self) -> str:
+        """The title above what is simulated."""
+        return "\n".join(filter(None, (plain(self.title), self.detail)))
+
+    @property
+    def force(self) -> str:
+        """Label of a friction force per contact."""
+        return self.length(FORCE)
+
+    def length(self, text: str) -> str:
+        """Label of a length up an axis."""
+        label = with_unit(text, unit_text(self.units, LENGTH))
+        return label if self.units.length else label.replace("  [", "\n[")
+
+    def unit(self, text: str, of: Dimension = LENGTH, *, unknown: bool = False) -> str:
+        """Label with a unit; without one if that is not known, unless `unknown`."""
+        return with_unit(text, unit_text(self.units, of, unknown))
+
+    @property
+    def band(self) -> str:
+        """What a force is whose error band is drawn."""
+        if self.replicas > 1:
+            return f"mean of {self.replicas} simulated ensembles, ± 2 standard errors"
+        count = f"{self.contacts:,}".replace(",", " ")
+        between = f"± 2 standard deviations between ensembles of N = {count}"
+        return f"one simulated ensemble, {between}"
+
+    def along(self, name: str) -> str:
+        """Label of another axis, such as "X" or "time"."""
+        return axis(name, self.units)
+
+    def beside(self, axes: Axes) -> None:
+        """Show what friction is at the interface on an axis to the right."""
+        if self.quantity is None:
+            return
+        factor, text = self.quantity.factor, self.quantity.label
+        both = (lambda y: y * factor), (lambda y: y / factor)
+        right = axes.secondary_yaxis("right", functions=both)
+        right.set_ylabel(with_unit(text, plain(self.quantity.unit)))
+        right.grid(False)
+
+
+def in_errors(run: Any, exact: Any) -> Array:
+    """Difference of two forces in standard errors; 0 where there is no error."""
+    sigma = np.hypot(run.force_stderr, exact.force_error)
+    zero = np.zeros(sigma.size)
+    return np.divide(run.force - exact.force, sigma, out=zero, where=sigma > 0)
+
+
+def scores(axes: Axes, z: Array, label: str = "difference") -> None:
+    """Prepare a panel of differences `z` in standard errors, on a grey band of two."""
+    limit = max(4.0, 1.1 * np.abs(z).max())
+    axes.axhspan(-2, 2, color="0.9")
+    axes.set(ylim=(-limit, limit), ylabel=f"{label}\n[standard errors]")
+
+
+def legend_below(figure: Figure, drawn: dict[str, Any]) -> None:
+    """Show a legend below all panels, where it covers nothing."""
+    place: dict[str, Any] = {"loc": "outside lower center", "frameon": False}
+    figure.legend([*drawn.values()], [*drawn], ncols=2, **place)

@@ -1,0 +1,261 @@
+"""Pictures of runs and of exact curves."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from eqsim.catalogue import TIME, VELOCITY
+from eqsim.estimate import Estimate
+from eqsim.numerics.tables import Array
+from eqsim.plots.panels import EXACT, Caption, in_errors, legend_below, scores
+from eqsim.plots.style import styled
+from eqsim.results import draw_band
+
+if TYPE_CHECKING:
+    from eqsim.engine.records import ProgrammeTrajectory, SliderTrajectory, Trajectory
+    from eqsim.engine.steady import Steady
+    from eqsim.master.transient import Transient
+
+# Velocities of the stage, from which on those of slips need a logarithmic axis.
+_FAST = 3.0
+_MOST_HOLDS = 4  # of a programme that have a panel of their own
+_MOST_MARKS = 60  # segments or slips that are marked
+# Mean thresholds that a panel of the transient shows, of a run that is longer by another
+# factor of `_LONG`.
+_TRANSIENT = 6.0
+_LONG = 4.0
+_MEAN = "exact mean (renewal equation)"
+
+
+@styled
+def trajectory_figure(
+    run: "Trajectory", steady: "Steady", exact: "Transient | None", caption: Caption
+) -> Figure:
+    """Draw F(X) with its error band, the exact mean over it and the steady value;
+    below, the difference from the exact mean in standard errors, and the pinned
+    fraction where contacts spend time detached. Of a long run the first thresholds have
+    panels of their own."""
+    delayed = steady.pinned.value is not None and steady.pinned.value < 1
+    heights = [2.6] + [1.0] * ((exact is not None) + delayed)
+    first = _TRANSIENT * (steady.break_stretch.value or 0.0)
+    several = np.count_nonzero(first > run.X) > 10 and _LONG * first < run.X[-1]
+    wide = [1.0, 2.0] if several else [1.0]
+    figure = Figure(figsize=(9, 2.3 + sum(heights)))
+    grid: dict[str, Any] = {"sharex": "col", "sharey": "row", "squeeze": False}
+    ratios: dict[str, Any] = {"height_ratios": heights, "width_ratios": wide}
+    columns = figure.subplots(len(heights), len(wide), **grid, **ratios).T
+    drawn: dict[str, Any] = {}
+    z = np.zeros(run.X.size) if exact is None else in_errors(run, exact)
+    for panels in columns:
+        drawn |= spread(panels[0], run.X, run)
+        drawn |= _compare(panels[0], run, "force", "C0", steady.friction, exact)
+        if exact is not None:
+            scores(panels[1], z)
+            panels[1].plot(run.X, z, linewidth=0.8)
+        if delayed:
+            drawn |= _compare(panels[-1], run, "pinned", "C2", steady.pinned, exact)
+        panels[-1].set(xlim=(run.X[0], run.X[-1]))
+    left = columns[0]
+    if several:
+        left[-1].set(xlim=(0.0, first), xlabel=caption.unit("$X$"))
+        left[0].set_title("the first thresholds")
+        columns[1][0].set_title("the whole run")
+        for panel in columns[1]:
+            panel.set_ylabel("")
+    columns[-1][-1].set_xlabel(caption.along("X"))
+    left[0].set(ylabel=caption.force)
+    if run.force.min() >= 0:
+        left[0].set_ylim(bottom=0)
+    if delayed:
+        left[-1].set(ylabel="pinned fraction\n$N_c / N$", ylim=(0, 1.05))
+    caption.beside(columns[-1][0])
+    figure.suptitle(caption.heading)
+    names = {
+        "simulated force": f"force: {caption.band}" if delayed else caption.band,
+        "simulated pinned": "pinned fraction",
+    }
+    legend_below(figure, {names.get(name, name): one for name, one in drawn.items()})
+    figure.align_ylabels(list(left))
+    return figure
+
+
+def spread(axes: Axes, x: Array, run: Any) -> dict[str, Any]:
+    """Draw how much replicas differ, if there are several; what the legend needs."""
+    if run.force_replica_std is None:
+        return {}
+    low, high = (run.force + sign * run.force_replica_std for sign in (-1, 1))
+    band = axes.fill_between(x, low, high, color="0.85", linewidth=0)
+    return {"± standard deviation between replicas": band}
+
+
+def _compare(
+    axes: Axes,
+    run: "Trajectory",
+    name: str,
+    color: str,
+    steady: Estimate,
+    exact: "Transient | None",
+) -> dict[str, Any]:
+    """Draw a curve with its error band, the steady value and the exact mean; what the
+    legend needs."""
+    y, error = getattr(run, name), 2 * getattr(run, f"{name}_stderr")
+    drawn: dict[str, Any] = {
+        f"simulated {name}": draw_band(axes, run.X, y, error, color=color)
+    }
+    value, stderr = steady.value or 0.0, 2 * (steady.stderr or 0.0)
+    span: dict[str, Any] = {"color": "C3", "alpha": 0.25, "linewidth": 0}
+    drawn["steady value (renewal-reward), ± 2 standard errors"] = (
+        axes.axhspan(value - stderr, value + stderr, **span),
+        axes.axhline(value, color="C3", linestyle="--"),
+    )
+    if exact is not None:
+        drawn[_MEAN] = axes.plot(run.X, getattr(exact, name), **EXACT)[0]
+    return drawn
+
+
+@styled
+def programme_figure(
+    run: "ProgrammeTrajectory", exact: "Transient | None", caption: Caption
+) -> Figure:
+    """Draw F along a programme with its error band and the exact mean, against t with
+    the segments marked, and against X; each hold in a panel of its own, where time
+    begins anew and is logarithmic; and the difference from the exact mean in standard
+    errors."""
+    holds = [i for i, segment in enumerate(run.segments) if segment.velocity == 0]
+    holds = holds[:_MOST_HOLDS]
+    rows = [2.2, 2.2] + [1.0] * (exact is not None)
+    figure = Figure(figsize=(9, 2.2 + sum(rows) + 2.4 * bool(holds)))
+    upper: Any = figure
+    below: Any = ()
+    if holds:
+        parts: Any = figure.subfigures(2, 1, height_ratios=[sum(rows), 2.4])
+        upper, lower = parts
+        below = lower.subplots(1, len(holds), squeeze=False, sharey=True)[0]
+    force, curve, *differences = upper.subplots(len(rows), 1, height_ratios=rows)
+    drawn = _force(force, run.t, run, exact)
+    legend_below(figure, {caption.band: drawn.pop(""), **drawn})
+    force.set_title(caption.heading)
+    _force(curve, run.X, run, exact)
+    curve.set(xlabel=caption.along("X"))
+    for panel in (force, curve):
+        panel.set_ylabel(caption.force)
+        caption.beside(panel)
+    for panel in differences:
+        z = in_errors(run, exact)
+        scores(panel, z)
+        panel.plot(run.t, z, linewidth=0.8)
+    for panel in (force, *differences):
+        panel.set(xlabel=caption.along("time"), xlim=(run.t[0], run.t[-1]))
+        for segment in run.segments[:-1] if len(run.segments) <= _MOST_MARKS else ():
+            panel.axvline(segment.t, color="0.6", linewidth=0.7)
+    for panel, index in zip(below, holds, strict=True):
+        here = np.flatnonzero(run.segment == index)
+        begin = run.t[here[0] - 1] if index else 0.0
+        _force(panel, run.t - begin, run, exact, here)
+        panel.set_xscale("log")
+        held = caption.unit(f"time held, segment {index}", TIME, unknown=True)
+        panel.set_xlabel(held)
+    if holds:
+        below[0].set(ylabel=caption.force)
+    return figure
+
+
+def _force(
+    axes: Axes,
+    x: Array,
+    run: "ProgrammeTrajectory",
+    exact: "Transient | None",
+    here: Any = slice(None),
+) -> dict[str, Any]:
+    """Draw the force against `x` with its error band, and the exact mean; what the
+    legend needs."""
+    error = 2 * run.force_stderr[here]
+    drawn: dict[str, Any] = {"": draw_band(axes, x[here], run.force[here], error)}
+    if exact is not None:
+        drawn[_MEAN] = axes.plot(x[here], exact.force[here], **EXACT)[0]
+    return drawn
+
+
+@styled
+def slider_figure(
+    run: "SliderTrajectory", exact: "Transient | None", caption: Caption
+) -> Figure:
+    """Draw the force of the spring and friction against t, with slips marked; slider
+    and stage against t; and the force of the spring against the velocity of the slider.
+    """
+    figure = Figure(figsize=(9, 8.8))
+    force, place, phase = figure.subplots(3, 1, height_ratios=[1.2, 1.0, 1.2])
+    error = 2 * run.force_stderr
+    drawn: dict[str, Any] = {
+        "friction of the contacts, ± 2 standard errors at the same X": draw_band(
+            force, run.t, run.force, error
+        ),
+        "force of the spring; displacement of the stage": force.plot(
+            run.t, run.spring, color="C3"
+        )[0],
+    }
+    if exact is not None:
+        drawn["friction, mean field"] = force.plot(run.t, exact.force, **EXACT)[0]
+    for slip in run.slips if len(run.slips) <= _MOST_MARKS else ():
+        force.axvline(slip.t, color="0.7", linewidth=0.7, zorder=0)
+    force.set(ylabel=caption.length("force / $(N k)$"))
+    caption.beside(force)
+    force.set_title(caption.heading)
+    place.plot(run.t, run.stage, color="C3")
+    (slider,) = place.plot(run.t, run.X, color="C0", linestyle="--")
+    drawn["displacement of the slider"] = slider
+    place.set(ylabel=caption.length("displacement"))
+    for panel in (force, place):
+        panel.set(xlabel=caption.along("time"), xlim=(run.t[0], run.t[-1]))
+    velocity = np.gradient(run.X, run.t)
+    phase.plot(velocity, run.spring, color="C3", linewidth=0.7)
+    speed = "velocity of the slider, between two records"
+    phase.set_xlabel(caption.unit(speed, VELOCITY, unknown=True))
+    phase.set_ylabel(caption.length("force of the spring / $(N k)$"))
+    driven = np.abs(np.diff(run.stage) / np.diff(run.t)).max()
+    if np.abs(velocity).max() > _FAST * driven > 0:
+        phase.set_xscale("symlog", linthresh=driven)
+    legend_below(figure, drawn)
+    return figure
+
+
+@styled
+def curve_figure(columns: dict[str, Array], along: str, caption: Caption) -> Figure:
+    """Draw an exact curve with its error band along the column X or t: the force;
+    below, the pinned fraction where contacts spend time detached, the mean threshold of
+    a closure, or slider and stage of a spring."""
+    labels = {
+        "force": caption.force,
+        "pinned": "pinned fraction\n$N_c / N$",
+        "mean_threshold": caption.length("mean threshold"),
+        "X": caption.length("displacement"),
+    }
+    seen = {"force": True, "X": "stage" in columns}
+    for name in ("pinned", "mean_threshold"):
+        if name in columns:
+            error = columns[f"{name}_error"]
+            seen[name] = np.ptp(columns[name]) > 2 * error.max()
+    names = [name for name in labels if seen.get(name)]
+    heights = [2.4] + [1.3] * (len(names) - 1)
+    figure = Figure(figsize=(8, 1.2 + 1.2 * sum(heights)))
+    grid: dict[str, Any] = {"sharex": True, "squeeze": False}
+    every = figure.subplots(len(names), 1, height_ratios=heights, **grid)[:, 0]
+    x = columns[along]
+    for axes, name in zip(every, names, strict=True):
+        line = {"linewidth": 1.2, "label": "slider"}
+        draw_band(axes, x, columns[name], columns[f"{name}_error"], **line)
+        axes.set(ylabel=labels[name], xlim=(x[0], x[-1]))
+        if name == "pinned":
+            axes.set_ylim(0, 1.05)
+    if columns["force"][0] == 0 <= columns["force"].min():
+        every[0].set_ylim(bottom=0)
+    if "stage" in columns:
+        every[-1].plot(x, columns["stage"], color="C3", label="stage")
+        every[-1].legend(loc="upper left")
+    every[0].set_title(caption.heading)
+    caption.beside(every[0])
+    every[-1].set_xlabel(caption.along("time" if along == "t" else along))
+    figure.align_ylabels(list(every))
+    return figure

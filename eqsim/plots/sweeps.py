@@ -1,0 +1,485 @@
+"""Pictures of sweeps."""
+
+import json
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib
+import numpy as np
+import pyarrow
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from pyarrow import parquet as pq
+
+from eqsim.errors import InputError, meant
+from eqsim.estimate import Estimate
+from eqsim.io import storage
+from eqsim.io.export import RENAMED_COLUMNS
+from eqsim.io.labels import axis, plain, symbol
+from eqsim.io.runfile import RunFile, at, keys, stored
+from eqsim.io.units import Quantity, Units
+from eqsim.master.velocities import curve
+from eqsim.numerics.tables import Array
+from eqsim.plots.panels import Caption
+from eqsim.plots.style import COLORS, DASHES, MARKERS, not_flat, styled
+
+Points = Any  # a pandas DataFrame, one point of a sweep a row
+Column = Any  # a pandas Series
+
+_SPREAD = 30.0  # an axis whose values span a greater factor is logarithmic
+# Columns that tables of the terminal call otherwise.
+_PRINTED = {"mu": "friction_coefficient", "force": "friction_force"}
+_MOST_SERIES = len(COLORS)  # that a legend names; more have a colour bar
+_FINE = 120  # points of a reference curve against velocity, which costs one solve
+_COARSE = 40  # points of one against another key
+_MOST_SOLVES = 600
+_REFERENCES = ("friction", "pinned", "break_stretch")
+_DASH: dict[str, Any] = {"linestyle": "none", "marker": "_"}
+_POINT: dict[str, Any] = {"marker": "o", "markersize": 5.5}
+
+
+class Sweep(NamedTuple):
+    """The points of a sweep, one a row, the run file they came from, if it is known,
+    and how many points there will be."""
+
+    table: Points
+    file: RunFile | None = None
+    planned: int | None = None
+
+    @property
+    def units(self) -> Units:
+        return self.file.units if self.file else Units()
+
+    @property
+    def fractions(self) -> bool:
+        """Whether stretches of the newborn are fractions of their thresholds."""
+        return self.file is not None and self.file["newborn.of"] == "threshold"
+
+    @property
+    def unfinished(self) -> str:
+        """What is to be said of a sweep that goes on."""
+        done, planned = len(self.table), self.planned
+        return f"{done} of {planned} points so far" if done < (planned or 0) else ""
+
+
+def read_sweep(folder: Path) -> Sweep:
+    """Read the points of a sweep, finished or not, from a folder of Parquet files.
+    Raises InputError."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: is not a folder of Parquet files")
+    planned = None
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        manifest = json.loads((folder / storage.SWEEP_MANIFEST).read_bytes())
+        planned = int(manifest["points"])
+    of = f", of {planned}" if planned else ""
+    files = storage.sweep_files(folder)
+    if files is not None and not files:
+        raise InputError(f"{folder}: holds no point yet{of}")
+    try:
+        found = pq.read_table(folder if files is None else files)
+    except (OSError, pyarrow.ArrowException) as error:
+        said = f"cannot be read as Parquet files ({str(error).splitlines()[0]})"
+        if (folder / "summary.json").is_file():
+            said = "is no sweep; the pictures of a run are in its folder already"
+        raise InputError(f"{folder}: {said}") from None
+    table = found.to_pandas().reset_index(drop=True)
+    if "friction" in table:  # a sweep of old
+        table = table.rename(columns=RENAMED_COLUMNS)
+    for name in table.select_dtypes("category"):  # folders named KEY=VALUE
+        table[name] = table[name].astype(str)
+        with suppress(ValueError):
+            table[name] = table[name].astype(float)
+    if not len(table):
+        raise InputError(f"{folder}: holds no point yet{of}")
+    file = None
+    with suppress(InputError, ValueError, KeyError, TypeError):
+        origin = json.loads((found.schema.metadata or {})[b"eqsim"])
+        file = stored(origin["settings"]["sweep"], origin["folder"])
+    return Sweep(table, file, planned)
+
+
+def select(table: Points, where: dict[str, str]) -> Points:
+    """The points at which every column named in `where` has the value given: numbers to
+    1e-9, or to the digits with which they are printed. Raises InputError."""
+    for name, text in where.items():
+        column = _column(table, name, "--where")
+        same = column.astype(str) == text
+        if _numeric(column):
+            with suppress(ValueError):
+                same = np.isclose(column, float(text), rtol=1e-9, atol=0)
+        if not np.any(same):
+            texts = _texts(column)
+            same = column.map(lambda value, texts=texts: texts[_plain(value)]) == text
+        if not np.any(same):
+            known = _values(column)
+            raise InputError(
+                f"--where {name}={text}: no point has this value; there are {known}"
+            )
+        table = table[same]
+    return table
+
+
+def heading(sweep: Sweep, name: str, where: dict[str, str]) -> str:
+    """A title: that of the run file, or `name` without one, and what was chosen."""
+    title = (sweep.file.title if sweep.file else "") or name
+    chosen = ", ".join(f"{symbol(key)} = {plain(x)}" for key, x in where.items())
+    return plain(title) + f"\n{chosen}" * bool(chosen)
+
+
+def sweep_figure(
+    sweep: Sweep,
+    points: Points,
+    columns: tuple[str, str],
+    by: list[str] | None = None,
+    log_x: bool | None = None,
+    title: str = "",
+) -> tuple[Figure, list[str]]:
+    """Draw of some `points` of a sweep the second of two `columns`, y, against the
+    first, x, one series for each value of the columns `by`, colours for the first of
+    them and markers for the second; the figure, and notes on what was left out.
+
+    Bars are two standard errors (column `y`_stderr). The master equation is solved anew
+    for a line between the points where that takes little time, else dashes are its
+    values at the points (`y`_reference); points of `status` "unreliable" are open,
+    those of "failed" left out. The x axis is logarithmic if `log_x`, or by default if
+    its values span more than a factor 30. More than eight series have a colour bar if
+    the first column is of numbers. Raises InputError if a column is missing or is not
+    of numbers, if a parameter other than `x` and `by` varies (one of `output` does not
+    count: it changes no average), or if nothing is left to draw.
+    """
+    (x, y), by = columns, list(by or [])
+    if len(by) > 2:
+        raise InputError(
+            f"--by {by[2]}: at most two columns, one for colours and one for markers"
+        )
+    table, notes = _drawable(points, x, y, by)
+    low, high = float(table[x].min()), float(table[x].max())
+    if log_x and low <= 0:
+        raise InputError(f"--log-x: {x} = {low:g} is not above 0")
+    notes = [*notes, *filter(None, [sweep.unfinished])]
+    log = bool(log_x or (log_x is None and low > 0 and high > _SPREAD * low))
+    heading = "\n".join(filter(None, (title, "; ".join(notes))))
+    return _figure(sweep, table, (x, y), by, log, heading), notes
+
+
+@styled
+def _figure(
+    sweep: Sweep,
+    table: Points,
+    columns: tuple[str, str],
+    by: list[str],
+    log: bool,
+    title: str,
+) -> Figure:
+    """Draw points as `sweep_figure` says, which can all be drawn."""
+    x, y = columns
+    quantity = _stress(sweep, y, float(table[y].abs().max()))
+    factor = quantity.factor if quantity else 1.0
+    scaled = [name for name in (y, f"{y}_stderr", f"{y}_reference") if name in table]
+    if quantity:
+        table = table.assign(**{name: table[name] * factor for name in scaled})
+    figure = Figure(figsize=(9, 5))
+    axes = figure.subplots()
+    if log:
+        axes.set_xscale("log")
+    look, legends, bar = _looks(table, by, sweep.units)
+    lines = dashes = False
+    series = list(table.groupby(by, dropna=False)) if by else [((), table)]
+    for values, part in series:
+        style, line = look(values)
+        part = part.sort_values(x)
+        solves = _MOST_SOLVES // max(1, len(series))
+        fine = _curve(sweep, part, columns, log, solves)
+        if fine is not None:
+            how: dict[str, Any] = {"color": style["color"], "linestyle": line}
+            axes.plot(fine[0], fine[1] * factor, zorder=2, **how)
+        lines |= fine is not None
+        dashes |= _draw(axes, part, columns, style, dashed=fine is None)
+    if bar is not None:
+        figure.colorbar(bar, ax=axes, label=axis(by[0], sweep.units, unknown=False))
+    handles = [*legends, *_explained(table, y, lines, dashes)]
+    if handles and not by:
+        axes.legend(handles=handles)
+    elif handles:  # outside of the axes, where it covers nothing
+        columns_of_text, where = 1 + len(handles) // 26, "outside right upper"
+        if bar is not None:
+            columns_of_text, where = 4, "outside lower center"
+        figure.legend(handles=handles, ncols=columns_of_text, loc=where)
+    axes.set_xlabel(axis(x, sweep.units, fractions=sweep.fractions))
+    axes.set_ylabel(axis(y, sweep.units, quantity.unit if quantity else ""))
+    if y == "friction":
+        Caption("", quantity=_beside(sweep, table)).beside(axes)
+    not_flat(axes)
+    axes.set_title(title)
+    return figure
+
+
+def _drawable(table: Points, x: str, y: str, by: list[str]) -> tuple[Points, list[str]]:
+    """The points that can be drawn, and notes on the others."""
+    for name, option in ((x, "--x"), (y, "--y")):
+        if not _numeric(_column(table, name, option)):
+            of = _values(table[name])
+            raise InputError(f"{option} {name}: is not a column of numbers but of {of}")
+    for name in by:
+        _column(table, name, "--by")
+    known = {x, *by}
+    kelvin, energy = "thermal.temperature", "thermal.kT"
+    if kelvin in table and table[kelvin].notna().all():  # one follows from the other
+        known |= {energy, *([kelvin] if energy in known else [])}
+    free = [
+        name
+        for name in table
+        if ("." in name and not name.startswith("output.")) or name == "disorder"
+        if name not in known and table[name].nunique(dropna=False) > 1
+    ]
+    if free:
+        several = "; ".join(f"{name} ({_values(table[name])})" for name in free)
+        said = "besides --x and --by other parameters vary; choose with --where"
+        raise InputError(f"{said} KEY=VALUE: {several}")
+    table = table.assign(status=table.get("status", "ok"))
+    failed = table["status"] == "failed"
+    shown = ~failed & np.isfinite(table[[x, y]].astype(float)).all(axis=1)
+    absent = {
+        "failed": failed.sum(),
+        f"without a finite {x} or {y}": (~failed & ~shown).sum(),
+    }
+    notes = [f"left out: {count} {why}" for why, count in absent.items() if count]
+    if not shown.any():
+        raise InputError("; ".join([f"--y {y}: no point to draw", *notes]))
+    return table[shown], notes
+
+
+def _looks(
+    table: Points, by: list[str], units: Units
+) -> tuple[Any, list[Line2D], ScalarMappable | None]:
+    """How a series looks, given the values of the columns `by`, its entries in a
+    legend, and a colour bar."""
+    if not by:
+        return lambda values: ({"color": COLORS[0], **_POINT}, "-"), [], None
+    groups = [sorted(table[name].unique(), key=_order) for name in by]
+    first, second = groups[0], groups[1] if len(by) > 1 else []
+    bar = None
+    colors: list[Any] = [COLORS[i % len(COLORS)] for i in range(len(first))]
+    if len(first) > _MOST_SERIES:
+        shades = np.linspace(0.0, 0.95, len(first))
+        if _numeric(table[by[0]]) and np.isfinite(np.asarray(first, float)).all():
+            low, high = float(first[0]), float(first[-1])
+            scale = LogNorm if low > 0 and high > _SPREAD * low else Normalize
+            bar = ScalarMappable(scale(low, high), "viridis")
+            shades = np.asarray(bar.norm(np.asarray(first, float)))
+        colors = list(matplotlib.colormaps["viridis"](shades))
+
+    def look(values: Any) -> tuple[dict[str, Any], Any]:
+        values = values if isinstance(values, tuple) else (values,)
+        i = _index(first, values[0])
+        j = _index(second, values[1]) if second else i if bar is None else 0
+        style = {"color": colors[i], "marker": MARKERS[j % len(MARKERS)]}
+        style["markersize"] = 5.5 if bar is None else 4.0
+        return style, DASHES[j % len(DASHES)]
+
+    legend: list[Line2D] = []
+    for number, (name, values) in enumerate(zip(by, groups, strict=True)):
+        if number == 0 and bar is not None:
+            continue
+        head = axis(name, units, unknown=False)
+        legend.append(Line2D([], [], linestyle="none", label=head))
+        texts = _texts(table[name])
+        for value in values:
+            style, line = look((first[0], value) if number else (value, *second[:1]))
+            if number:
+                style["color"] = "0.35"
+            elif second:
+                style["marker"], line = "o", "none"
+            style |= {"linestyle": line, "label": plain(texts[_plain(value)])}
+            legend.append(Line2D([], [], **style))
+    return look, legend, bar
+
+
+def _order(value: Any) -> tuple[int, Any]:
+    """Numbers before what is not there, texts by the alphabet."""
+    if isinstance(value, str):
+        return 1, value
+    return (2, "") if value is None or value != value else (0, value)
+
+
+def _index(values: list[Any], value: Any) -> int:
+    """Find a value in a list that may hold NaN."""
+    return [_order(one) for one in values].index(_order(value))
+
+
+def _draw(
+    axes: Axes,
+    part: Points,
+    columns: tuple[str, str],
+    style: dict[str, Any],
+    dashed: bool,
+) -> bool:
+    """Draw one series; whether its references are dashes."""
+    (x, y), color = columns, style["color"]
+    dashed &= f"{y}_reference" in part and bool(part[f"{y}_reference"].notna().any())
+    if dashed:
+        known = part.drop_duplicates(x).dropna(subset=f"{y}_reference")
+        dash = known[x], known[f"{y}_reference"]
+        axes.plot(*dash, color=color, markersize=13, zorder=2, **_DASH)
+    bars = 2 * part[f"{y}_stderr"].astype(float) if f"{y}_stderr" in part else None
+    bar: dict[str, Any] = {"fmt": "none", "ecolor": color, "capsize": 2.5}
+    axes.errorbar(part[x], part[y], bars, zorder=3, **bar)
+    unsure = part["status"] == "unreliable"
+    for points, fill in ((part[~unsure], color), (part[unsure], "white")):
+        how: dict[str, Any] = {"linestyle": "none", "markerfacecolor": fill, **style}
+        axes.plot(points[x], points[y], zorder=4, **how)
+    return dashed
+
+
+def _explained(table: Points, y: str, lines: bool, dashes: bool) -> list[Line2D]:
+    """What lines, dashes, bars and open markers are, where there are any."""
+    bars = f"{y}_stderr" in table and table[f"{y}_stderr"].notna().any()
+    mark: dict[str, Any] = {"linestyle": "none", "markersize": 11}
+    looks = {
+        "lines: master equation": (lines, {}),
+        "dashes: master equation": (dashes, {**mark, "marker": "_"}),
+        "bars: ± 2 standard errors": (bars, {**mark, "marker": "|"}),
+        "open: unreliable": (
+            (table["status"] == "unreliable").any(),
+            {**mark, **_POINT, "markerfacecolor": "white"},
+        ),
+    }
+    return [
+        Line2D([], [], color="0.35", label=label, **look)
+        for label, (present, look) in looks.items()
+        if present
+    ]
+
+
+def _curve(
+    sweep: Sweep, part: Points, columns: tuple[str, str], log: bool, solves: int
+) -> tuple[Array, Array] | None:
+    """The reference of a series between its points, where it takes little time."""
+    x, y = columns
+    low, high = float(part[x].min()), float(part[x].max())
+    if sweep.file is None or keys(sweep.file).get(x) is not float or not low < high:
+        return None
+    if f"{y}_reference" not in part or part[f"{y}_reference"].isna().all():
+        return None
+    over_velocity = x == "drive.velocity"
+    count = _FINE if over_velocity else min(_COARSE, solves)
+    if count < 2 * len(part) and not over_velocity:
+        return None
+    grid = np.geomspace(low, high, count) if log else np.linspace(low, high, count)
+    grid = np.unique(np.concatenate((grid[1:-1], part[x].to_numpy(float))))
+    row = part.iloc[0]
+    try:
+        if over_velocity:
+            return grid, _averages(sweep, row, y, {}, grid)
+        found = [_averages(sweep, row, y, {x: value}) for value in grid.tolist()]
+        return grid, np.concatenate(found)
+    except InputError:
+        return None
+
+
+def _averages(
+    sweep: Sweep, row: Any, y: str, more: dict[str, Any], velocities: Any = None
+) -> Array:
+    """Values of a column by the master equation at a row's parameters, at some
+    velocities or the row's own. Raises InputError where it is not known, or takes long.
+    """
+    file = _point(sweep, row, more)
+    if file["elastic"] or file["drive.stage"] or file["drive.programme"]:
+        raise InputError("no steady state at constant velocity")
+    ensemble = file.ensemble
+    slow = ensemble.newborn.active or ensemble.aging.active
+    if slow or ensemble.thresholds.steps.size:
+        raise InputError("these laws are solved one velocity at a time")
+    if velocities is None:
+        velocities = np.array([file["drive.velocity"]])
+    found = curve(ensemble, velocities)
+    if y in _REFERENCES:
+        return np.asarray(getattr(found, y))
+    for one in file.quantities:
+        if one.name == y:
+            return np.asarray(found.friction * one.factor)
+    raise InputError(f"{y}: is not known along a curve")
+
+
+def _point(sweep: Sweep, row: Any, more: dict[str, Any]) -> RunFile:
+    """The run file at a row of the table."""
+    assert sweep.file
+    changes: dict[str, Any] = {
+        key: kind(row[key])
+        for key, kind in keys(sweep.file).items()
+        if key in row and not key.startswith("output.")
+        if sweep.table[key].nunique(dropna=False) > 1
+        if _plain(row[key]) is not None
+    } | more
+    kelvin = "thermal.temperature"
+    if kelvin in changes or sweep.file[kelvin] is not None:
+        changes.pop("thermal.kT", None)
+    return at(sweep.file, changes)
+
+
+def _stress(sweep: Sweep, y: str, largest: float) -> Quantity | None:
+    """A shear stress in a unit fit for it: `factor` times what the table holds."""
+    known = sweep.file.quantities if sweep.file and y == "shear_stress" else ()
+    found = (one._replace(factor=1.0).near(largest) for one in known if one.name == y)
+    return next(found, None)
+
+
+def _beside(sweep: Sweep, table: Points) -> Quantity | None:
+    """What friction is at the interface, if that is the same of all points."""
+    names = ("contacts.count", "contacts.stiffness")
+    several = any(name in table and table[name].nunique() > 1 for name in names)
+    if sweep.file is None or several:
+        return None
+    with suppress(InputError):
+        largest = Estimate(float(table["friction"].abs().max()), None, 0)
+        return _point(sweep, table.iloc[0], {}).preferred(largest)
+    return None
+
+
+def _column(table: Points, name: str, option: str) -> Column:
+    if name not in table:
+        known = [*map(str, table)]
+        hint = meant(_PRINTED.get(name, name), known) or f"there are {', '.join(known)}"
+        raise InputError(f"{option} {name}: no such column; {hint}")
+    return table[name]
+
+
+def _numeric(column: Column) -> bool:
+    return column.dtype.kind in "iuf"
+
+
+def _plain(value: Any) -> Any:
+    """A value as a key of a dictionary, in which NaN is found again."""
+    return None if value is None or value != value else value
+
+
+def _texts(column: Column) -> dict[Any, str]:
+    """Its values as they are printed: numbers with six digits, or as many as tell
+    neighbours apart."""
+    values = [_plain(value) for value in column.drop_duplicates()]
+    texts = {value: _text(value, 6) for value in values}
+    for digits in range(7, 18):
+        shared = {text for text, count in Counter(texts.values()).items() if count > 1}
+        texts = {
+            value: _text(value, digits) if text in shared else text
+            for value, text in texts.items()
+        }
+    return texts
+
+
+def _values(column: Column) -> str:
+    """Some of its values, to choose from."""
+    texts = _texts(column)
+    found = [texts[_plain(value)] for value in column.drop_duplicates().sort_values()]
+    return ", ".join(found[:8] + ["..."] * (len(found) > 8))
+
+
+def _text(value: Any, digits: int) -> str:
+    if value is None:
+        return "none"
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,125 @@
+"""Steady averages of a run file as commands show them: simulated beside exact, and
+exact alone."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from eqsim.engine.steady import Steady, steady
+from eqsim.estimate import z_score
+from eqsim.io import terminal
+from eqsim.io.runfile import RunFile
+from eqsim.io.units import Row
+from eqsim.master.steady import Reference, reference
+from eqsim.workflows.report import FileResult, if_any
+
+
+@dataclass(frozen=True)
+class SteadyResult(FileResult):
+    """Simulated steady averages, and the exact ones or None and why."""
+
+    file: RunFile
+    steady: Steady
+    exact: tuple[Reference | None, str]
+
+    def scores(self) -> dict[str, float | None]:
+        """z of each average, None where there is no exact value."""
+        found, exact = self.steady.averages(), self.exact[0]
+        if exact is None:
+            return dict.fromkeys(found)
+        levels = {name: getattr(exact, name) for name in found}
+        return {
+            name: None
+            if level.value is None
+            else z_score(found[name], level.value, level.stderr or 0.0)
+            for name, level in levels.items()
+        }
+
+    def summary(self) -> dict[str, Any]:
+        found, exact = self.steady, self.exact[0]
+        averages, divergence = found.averages(), self.ensemble.divergence
+        values = {
+            name: getattr(exact, name).value if exact else None for name in averages
+        }
+        return {
+            **{name: estimate.as_dict() for name, estimate in averages.items()},
+            **{"lives": found.lives, "seed": found.seed, "reached": found.reached},
+            **({"divergence": divergence} if divergence else {}),
+            **{"reference": values, "z": self.scores()},
+            **self.file.physical(found.friction, values["friction"]),
+        }
+
+    def rows(self) -> Iterator[tuple[Any, ...]]:
+        z, exact, rows = self.scores(), self.exact[0], self.file.rows(self.steady)
+        yield "", "contacts", *unit_column(rows), "relative error", "reference", "z"
+        for name, row in rows:
+            found, level = getattr(self.steady, name), getattr(exact, name, None)
+            without = level is None or level.value is None or found.diverges
+            yield (
+                *(row.label, row.of(found), *row.unit, terminal.relative_error(found)),
+                row.exact(level, ".9g"),
+                "none" if without else terminal.score(z[name]),
+            )
+
+    def notes(self) -> Iterator[str]:
+        found, reason = self.steady, self.exact[1]
+        if reason:
+            yield f"no reference: {reason}"
+        if self.ensemble.divergence:
+            yield self.ensemble.divergence
+        speed = terminal.lives(found.lives, found.engine_seconds)
+        yield f"{speed}, seed {found.seed}"
+
+
+@dataclass(frozen=True)
+class ReferenceResult(FileResult):
+    """Exact steady averages."""
+
+    file: RunFile
+    exact: Reference
+
+    def summary(self) -> dict[str, Any]:
+        found = {**self.exact.averages(), "f_k": self.exact.f_k}
+        errors = {name: estimate.stderr for name, estimate in found.items()}
+        divergence = self.ensemble.divergence
+        return {
+            **{name: estimate.value for name, estimate in found.items()},
+            **{"error": errors, "method": self.exact.method},
+            **({"divergence": divergence} if divergence else {}),
+            **self.file.physical(self.exact.friction),
+        }
+
+    def rows(self) -> Iterator[tuple[Any, ...]]:
+        rows = self.file.rows(self.exact)
+        yield "", "value", *unit_column(rows), "error"
+        for name, row in [*rows, ("f_k", rows[0][1]._replace(label="f_k"))]:
+            found = getattr(self.exact, name)
+            error = f"{row.of(found).stderr or 0.0:.1e}"
+            yield row.label, row.exact(found, ".10g"), *row.unit, error
+
+    def notes(self) -> Iterator[str]:
+        yield f"method: {self.exact.method}"
+        yield "error: bound of the solver's; f_k: F/(N_c k), friction per pinned contact"
+        if self.ensemble.divergence:
+            yield self.ensemble.divergence
+
+
+def simulated(file: RunFile, **how: Any) -> SteadyResult:
+    """Simulated steady averages of a run file, and the exact ones; `how` is passed to
+    `steady`. Raises InputError."""
+    ensemble, drive = file.ensemble, file.constant_drive
+    found = steady(ensemble, drive, seed=file.output.seed, **how)
+    variance = found.force_variance.value is not None
+    exact = if_any(lambda: reference(ensemble, drive, variance=variance))
+    return SteadyResult(file, found, exact)
+
+
+def exact(file: RunFile, variance: bool) -> ReferenceResult:
+    """Exact steady averages of a run file. Raises InputError."""
+    found = reference(file.ensemble, file.constant_drive, variance=variance)
+    return ReferenceResult(file, found)
+
+
+def unit_column(rows: list[tuple[str, Row]]) -> tuple[str, ...]:
+    """The column of units, if the rows have one."""
+    return ("unit",) * any(row.unit for _, row in rows)

@@ -1,0 +1,177 @@
+"""How a result of a run file is shown and stored: every kind of result says what its
+table, its JSON, its files and its pictures are, and nobody else does."""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from typing import Any, ClassVar, TypeVar
+
+from eqsim.errors import InputError
+from eqsim.io import storage, terminal
+from eqsim.io.runfile import RunFile
+from eqsim.lazy import lazily
+from eqsim.master.transient import Transient, transient
+from eqsim.model.ensemble import Ensemble
+
+with lazily():
+    from eqsim.plots import style
+
+
+Progress = Callable[[int, float], None]
+Solved = TypeVar("Solved")
+
+
+class FileResult:
+    """The result of a command on a run file `file`."""
+
+    command: ClassVar[str]  # that made it
+    summarised: ClassVar[bool] = True  # whether its folder has a summary.json
+    file: RunFile
+
+    @property
+    def ensemble(self) -> Ensemble:
+        """The contacts of the run file."""
+        return self.file.ensemble
+
+    @property
+    def drive(self) -> Any:
+        """The drive of the run file."""
+        return self.file.drive
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What a replay needs to know."""
+        return self.file.settings
+
+    def summary(self) -> dict[str, Any]:
+        """The content of summary.json, and what --json prints."""
+        raise NotImplementedError
+
+    def tables(self) -> dict[str, Any]:
+        """Columns of each table by its name."""
+        return {}
+
+    def figures(self, title: str) -> dict[str, Any]:
+        """Pictures by name, with `title` unless the run file has one."""
+        return {}
+
+    def rows(self) -> Iterator[tuple[Any, ...]]:
+        """The table that a terminal shows: names of columns, and rows."""
+        raise NotImplementedError
+
+    def notes(self) -> Iterator[str]:
+        """What is to be said below the table."""
+        yield from ()
+
+    def report(self, name: str, *more: str) -> terminal.Report:
+        """What a terminal shows, titled `name` unless the run file has a title, with
+        `more` notes."""
+        head, *rows = self.rows()
+        notes = [*self.notes(), *more]
+        return terminal.Report(self.summary(), self.title(name), head, rows, notes)
+
+    def title(self, name: str) -> str:
+        """Title of the table."""
+        return self.file.headline(name)
+
+    def written(self, files: Sequence[str]) -> str:
+        """What is said of the files of its folder."""
+        return ", ".join(files)
+
+    def origin(self) -> dict[str, Any]:
+        """Provenance of tables."""
+        file = self.file
+        return storage.provenance(
+            self.command, self.settings, file.text, file.output.seed, file.folder
+        )
+
+    def files(
+        self, title: str = "", formats: Sequence[str] = ("png",)
+    ) -> dict[str, bytes]:
+        """The files of a results folder by name; pictures have `title` unless the run
+        file has one."""
+        origin, tables = self.origin(), self.tables().items()
+        found = {f"{name}.parquet": storage.parquet(x, origin) for name, x in tables}
+        if self.summarised:
+            found["summary.json"] = storage.to_json(self.summary()).encode()
+        for name, figure in self.figures(title).items():
+            found |= style.pictures(name, figure, formats)
+        return found
+
+
+class Simulated(FileResult):
+    """A run file that was simulated: a `trajectory`, drawn with the `exact` mean, which
+    is a result or None and why, if there is one; `who` shared the work."""
+
+    command = "run"
+    trajectory: Any
+    who: str = "threads"
+
+    @cached_property
+    def exact(self) -> tuple[Transient | None, str]:
+        """The exact mean, or None and why there is none."""
+        points = self.file.output.points
+        return if_any(lambda: transient(self.ensemble, self.drive, points))
+
+    @property
+    def folder(self) -> Any:
+        """The folder in which paths in the run file start."""
+        return self.file.folder
+
+    def to_pandas(self) -> Any:
+        """A DataFrame of the trajectory."""
+        return self.trajectory.to_pandas()
+
+    def plot(self, axes: Any = None, **style: Any) -> Any:
+        """Draw the trajectory, and on it the exact mean; arguments are those of
+        `Result.plot`."""
+        x, given, exact = self.trajectory.drawn.x, axes, self.exact[0]
+        axes = self.trajectory.plot(axes, **{"label": "simulated contacts", **style})
+        if given is None:
+            axes.set(**self.file.labels(x))
+        if exact is not None:
+            line = {"linewidth": 1, "label": "exact mean"}
+            axes.plot(getattr(exact, x), exact.force, "k:", **line)
+            axes.legend()
+        return axes
+
+    def picture(self, title: str = "") -> Any:
+        """The picture of the force, with `title` unless the run file has one."""
+        return self.figures(title)["force"]
+
+    def tables(self) -> dict[str, Any]:
+        """The trajectory, and of every replica if `output.series` asks for it."""
+        found = {"trajectory": self.trajectory.columns()}
+        if self.file.output.series:
+            found["replicas"] = self.trajectory.replicas()
+        return found
+
+    def made(self) -> dict[str, Any]:
+        """How it was computed, for JSON."""
+        names = ("lives", "engine_seconds", "threads", "seed")
+        how = {name: getattr(self.trajectory, name) for name in names}
+        return {**how, "versions": storage.versions()}
+
+    def speed(self) -> Iterator[str]:
+        """Notes on how many lives were simulated, how fast, and by whom; and why there
+        is no exact mean."""
+        found, count = self.trajectory, self.ensemble.count * self.file.output.replicas
+        contacts = f" of {terminal.count(count)} contacts"
+        speed = terminal.lives(found.lives, found.engine_seconds, contacts)
+        yield f"{speed}, {found.threads} {self.who}, seed {found.seed}"
+        if self.exact[1]:
+            yield f"no exact curve: {self.exact[1]}"
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.trajectory!r})"
+
+    def _repr_html_(self) -> str:
+        shown: str = self.trajectory._repr_html_()
+        return shown
+
+
+def if_any(solve: Callable[[], Solved]) -> tuple[Solved | None, str]:
+    """An exact result, or None and why there is none."""
+    try:
+        return solve(), ""
+    except InputError as error:
+        return None, str(error)
