@@ -10,6 +10,7 @@ mean field (`master.kicks`).
 """
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -25,7 +26,7 @@ from eqsim.master.profile import SmoothLife, profile_of
 from eqsim.master.programme import course_of
 from eqsim.master.steady import reference, settled
 from eqsim.master.transient import convolved, from_birth, means_of, middle_half
-from eqsim.model.drive import Drive, Programme, Segment, Stage
+from eqsim.model.drive import Drive, Programme, Segment, Stage, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, pull_of, reduced
 from eqsim.model.slip import least_slip
@@ -248,7 +249,7 @@ def stability(
     """
     pulled = pulled_by(ensemble, drive)
     mode = _mode(pulled, progress)  # may refuse
-    fresh = fresh_slip(ensemble, pulled.velocity)
+    fresh = fresh_slip(ensemble, Drive(pulled.velocity))
     border = kicks.NO_VALUE
     if critical or (critical is None and pulled.quick):
         border = critical_stiffness(pulled, progress)
@@ -309,7 +310,7 @@ def border(
         require_number("velocity", velocity, above=0.0)
         here = pulled._replace(velocity=float(velocity))
         found = critical_stiffness(here) if critical else kicks.NO_VALUE
-        fresh = fresh_slip(here.ensemble, here.velocity).critical_stiffness
+        fresh = fresh_slip(here.ensemble, Drive(velocity)).critical_stiffness
         values = velocity, found.value, found.stderr, fresh.value, fresh.stderr
         for column, value in zip(table.values(), values, strict=True):
             column[row] = math.nan if value is None else value
@@ -345,7 +346,7 @@ def _mode(pulled: Pulled, progress: Callable[[int, float], None]) -> kicks.Mode:
     return kicks.Mode(growth, Estimate(period, period * error / found.imag, 0))
 
 
-def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
+def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
     """The steepest fall of the fresh transient (derived).
 
     The renewal equation of `master.transient` on three grids, each with half the cells
@@ -368,8 +369,15 @@ def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
     InputError
         As `transient`.
     """
-    contacts, unit = settled(ensemble, velocity), ensemble.thresholds.scale
-    steady = reference(ensemble, Drive(velocity))
+    if isinstance(drive, (int, float)):
+        said = "fresh_slip: a velocity is deprecated; give Drive(velocity)"
+        warnings.warn(said, DeprecationWarning, stacklevel=3)
+        drive = Drive(drive)
+    if isinstance(drive, Programme):
+        drive = Drive(pulled_by(ensemble, drive).velocity)
+    require_drive(drive)
+    contacts, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
+    steady = reference(ensemble, drive)
     friction, error = known(steady.friction), steady.friction.stderr or 0.0
     distance = _LIVES * known(steady.travel) / unit
     least, level = least_slip(ensemble.thresholds) / unit, friction / unit

@@ -90,7 +90,7 @@ def sweep(
     for failure in found.failures[:1]:
         first = f"the first at {failure['changes']}: {failure['message']}"
         warnings.warn(
-            f"{found.failed} of {found.points} points failed, {first}", stacklevel=2
+            f"{found.failed} of {found.points} points failed, {first}", stacklevel=3
         )
     return table
 
