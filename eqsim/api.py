@@ -1,5 +1,7 @@
 """The public names of eqsim."""
 
+from typing import Any, cast
+
 from eqsim import calls
 from eqsim.engine import breaks as _breaks
 from eqsim.engine import elastic as _elastic
@@ -111,14 +113,18 @@ __all__ = [
 # these take a run file, too, in the place of contacts and a drive
 breaks = calls.accepts_run_file(_breaks.breaks)
 closure = calls.accepts_run_file(_closure.closure)
-curve = calls.curve_with_velocities(_velocities.curve)
+curve: calls.CurveCall = cast(
+    Any, calls.accepts_run_file(_velocities.curve, calls.swept_velocities)
+)
 elastic_trajectory = calls.accepts_run_file(_elastic.elastic_trajectory)
-fluctuations = calls.fluctuations_over_cycles(_transient.fluctuations)
+fluctuations = calls.accepts_run_file(
+    _transient.fluctuations, calls.over_cycles, output=()
+)
 fresh_slip = calls.accepts_run_file(_stability.fresh_slip)
 reference = calls.accepts_run_file(_exact.reference)
 stability = calls.accepts_run_file(_stability.stability)
 steady = calls.accepts_run_file(_steady.steady)
-trajectory = calls.trajectory_of_drives(_trajectory.trajectory)
+trajectory = calls.depends_on_drive(_trajectory.trajectory)
 transient = calls.accepts_run_file(_transient.transient)
 
 # these take changes of keys beside a run file

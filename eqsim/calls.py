@@ -1,11 +1,8 @@
 """One way of calling for all that simulates or solves: contacts and a drive, or a run
-file.
+file, `steady(Ensemble(), Drive(0.1))` or `steady("x.toml", changes={"thermal.kT": 1})`.
 
 Engine and reference take an `Ensemble` and a `Drive`. `accepts_run_file` makes
-functions of them that take a run file as well, and results that know its units:
-
-    steady(Ensemble(), Drive(velocity=0.1))
-    steady("x.toml", changes={"thermal.kT": 0.1})
+functions of them that take a run file as well, and whose results know its units.
 """
 
 import functools
@@ -29,18 +26,16 @@ from eqsim.results import tell_quantities
 from eqsim.sweeps.plan import Plan
 from eqsim.workflows.fluctuations import default_lag
 
-Source = RunFile | Path | str
-Changes = dict[str, Any]
+File = RunFile | Path | str
+Contacts = Ensemble | File
+Changes = dict[str, Any] | None
 P = ParamSpec("P")
-Driven = TypeVar("Driven")
-Found = TypeVar("Found")
-Source_contra = TypeVar("Source_contra", contravariant=True)
-Driven_contra = TypeVar("Driven_contra", contravariant=True)
-Found_co = TypeVar("Found_co", covariant=True)
+F = TypeVar("F", contravariant=True)  # what stands for a run file
+D = TypeVar("D", contravariant=True)  # of drives
+R = TypeVar("R", covariant=True)  # of results
 
-_OUTPUT = ("points", "seed", "replicas")  # keys of [output] that are options
-_ENSEMBLE = "    ensemble : Ensemble\n"
-_OR_FILE = """    ensemble : Ensemble, RunFile, Path or str
+_CONTACTS = "    ensemble : Ensemble\n"
+_CONTACTS_OR_FILE = """    ensemble : Ensemble, RunFile, Path or str
         Contacts; or a run file, or the path of one, in whose units the result then is,
         and which gives {given} unless they are given here.
 """
@@ -49,25 +44,17 @@ _CHANGES = """    changes : dict, optional
 """
 
 
-class Call(Protocol[Driven_contra, P, Found_co]):
+class Call(Protocol[D, P, R]):
     """A function of contacts and a drive, or of a run file."""
 
     @overload
     def __call__(
-        self,
-        ensemble: Ensemble | Source,
-        drive: Driven_contra,
-        *args: P.args,
-        **kwargs: P.kwargs,
-    ) -> Found_co: ...
+        self, ensemble: Contacts, drive: D, *a: P.args, **k: P.kwargs
+    ) -> R: ...
     @overload
     def __call__(
-        self,
-        file: Source,
-        changes: Changes | None = None,
-        *args: P.args,
-        **kwargs: P.kwargs,
-    ) -> Found_co: ...
+        self, file: File, changes: Changes = None, *a: P.args, **k: P.kwargs
+    ) -> R: ...
 
 
 class TrajectoryCall(Protocol[P]):
@@ -75,19 +62,15 @@ class TrajectoryCall(Protocol[P]):
 
     @overload
     def __call__(
-        self, ensemble: Ensemble, drive: Drive, *args: P.args, **kwargs: P.kwargs
+        self, ensemble: Contacts, drive: Drive, *a: P.args, **k: P.kwargs
     ) -> Trajectory: ...
     @overload
     def __call__(
-        self, ensemble: Ensemble, drive: Programme, *args: P.args, **kwargs: P.kwargs
+        self, ensemble: Contacts, drive: Programme, *a: P.args, **k: P.kwargs
     ) -> ProgrammeTrajectory: ...
     @overload
     def __call__(
-        self,
-        file: Source,
-        changes: Changes | None = None,
-        *args: P.args,
-        **kwargs: P.kwargs,
+        self, file: File, changes: Changes = None, *a: P.args, **k: P.kwargs
     ) -> Trajectory | ProgrammeTrajectory: ...
 
 
@@ -96,49 +79,29 @@ class CurveCall(Protocol):
 
     def __call__(
         self,
-        ensemble: Ensemble | Source,
+        ensemble: Contacts,
         velocities: ArrayLike | None = None,
         *,
-        changes: Changes | None = None,
+        changes: Changes = None,
     ) -> Curve: ...
 
 
-class FileCall(Protocol[Source_contra, P, Found_co]):
+class FileCall(Protocol[F, P, R]):
     """A function of a run file."""
 
     @overload
-    def __call__(
-        self, file: Source_contra, *args: P.args, **kwargs: P.kwargs
-    ) -> Found_co: ...
+    def __call__(self, file: F, *a: P.args, **k: P.kwargs) -> R: ...
     @overload
-    def __call__(
-        self, file: Source_contra, *args: Any, changes: Changes, **kwargs: Any
-    ) -> Found_co: ...
-
-
-def _quantities(
-    ensemble: Ensemble, units: Units | None, interface: Interface | None
-) -> tuple[Quantity, ...]:
-    """What the friction of an ensemble is in these units."""
-    return quantities(ensemble, units or Units(), interface or Interface())
+    def __call__(self, file: F, *a: Any, changes: Changes, **k: Any) -> R: ...
 
 
 def accepts_run_file(
-    function: Callable[Concatenate[Ensemble, Driven, P], Found],
+    function: Callable[Concatenate[Ensemble, D, P], R],
     drive_of: Callable[[RunFile], Any] = attrgetter("drive"),
-    output: tuple[str, ...] = _OUTPUT,
-) -> Call[Driven, P, Found]:
-    """Let a function of contacts and a drive take a run file, too.
-
-    Parameters
-    ----------
-    function : callable
-        `function(ensemble, drive, ...)`.
-    drive_of : callable
-        The second argument that a run file stands for.
-    output : tuple of str
-        Options of the function that are keys of [output].
-    """
+    output: tuple[str, ...] = ("points", "seed", "replicas"),
+) -> Call[D, P, R]:
+    """Let a function of contacts and a drive take a run file, too. `drive_of` finds its
+    second argument in a run file; options named in `output` are keys of [output]."""
     signature = inspect.signature(function)
     _, second, *_ = signature.parameters
     options = [name for name in output if name in signature.parameters]
@@ -149,56 +112,50 @@ def accepts_run_file(
         drive: Any = None,
         *args: Any,
         file: Any = None,
-        changes: Changes | None = None,
+        changes: Changes = None,
         **given: Any,
     ) -> Any:
         source = ensemble if file is None else file
         # `velocity` is what the drive of `fresh_slip` was called
         for name in (second, "velocity"):
             drive = given.pop(name, drive)
-        if isinstance(source, Ensemble):
-            if changes is not None:
-                raise InputError(
-                    f"changes = {shown(changes)}: are those of a run file; "
-                    "dataclasses.replace changes an Ensemble"
-                )
-            found: Any = function(source, drive, *args, **given)
-            tell_quantities(found, functools.partial(_quantities, source))
-            return found
-        if not isinstance(source, RunFile | Path | str):
-            raise InputError(
-                f"ensemble = {shown(source)}: must be an Ensemble, a run file, or the "
-                "path of one"
-            )
-        if isinstance(drive, dict):
-            drive, changes = None, drive
-        file = opened(source, changes=changes)
-        known = signature.bind_partial(None, None, *args, **given).arguments
-        given |= {x: getattr(file.output, x) for x in options if x not in known}
-        drive = drive_of(file) if drive is None else drive
-        found = function(file.ensemble, drive, *args, **given)
-        tell_quantities(found, file.quantities_in)
+        if isinstance(source, RunFile | Path | str):
+            if isinstance(drive, dict):
+                drive, changes = None, drive
+            file = opened(source, changes=changes)
+            known = signature.bind_partial(None, None, *args, **given).arguments
+            given |= {x: getattr(file.output, x) for x in options if x not in known}
+            drive = drive_of(file) if drive is None else drive
+            source, told = file.ensemble, file.quantities_in
+        else:
+            told = functools.partial(_quantities, source)
+        if not isinstance(source, Ensemble):
+            said = "must be an Ensemble, a run file, or the path of one"
+            raise InputError(f"ensemble = {shown(source)}: {said}")
+        if changes is not None and file is None:
+            said = "those of a run file; dataclasses.replace changes an Ensemble"
+            raise InputError(f"changes = {shown(changes)}: are {said}")
+        found: Any = function(source, drive, *args, **given)
+        tell_quantities(found, told)
         return found
 
-    first, drive = signature.parameters["ensemble"], signature.parameters[second]
-    said = _OR_FILE.format(given=" and ".join(f"`{x}`" for x in (second, *options)))
+    first, driven = signature.parameters["ensemble"], signature.parameters[second]
+    given = " and ".join(f"`{name}`" for name in (second, *options))
     return _presented(
         call,
-        (function.__doc__ or "").replace(_ENSEMBLE, said),
-        first.replace(annotation=Ensemble | Source),
-        drive.replace(annotation=drive.annotation | None, default=None),
+        (function.__doc__ or "").replace(
+            _CONTACTS, _CONTACTS_OR_FILE.format(given=given)
+        ),
+        first.replace(annotation=Contacts),
+        driven.replace(annotation=driven.annotation | None, default=None),
     )
 
 
-def accepts_changes(
-    function: Callable[Concatenate[Source_contra, P], Found],
-) -> FileCall[Source_contra, P, Found]:
+def accepts_changes(function: Callable[Concatenate[F, P], R]) -> FileCall[F, P, R]:
     """Let a function of a run file take `changes` of its keys, too."""
 
     @functools.wraps(function)
-    def call(
-        file: Any, *args: Any, changes: Changes | None = None, **given: Any
-    ) -> Found:
+    def call(file: Any, *args: Any, changes: Changes = None, **given: Any) -> R:
         if changes and isinstance(file, dict):
             file = file | changes
         elif changes:
@@ -208,57 +165,39 @@ def accepts_changes(
     return _presented(call, function.__doc__ or "")
 
 
-def _presented(call: Any, text: str, *changed: inspect.Parameter) -> Any:
-    """A function with `changes` in its signature and its `text`, and these parameters
-    changed."""
-    signature = inspect.signature(call)
-    changes = inspect.Parameter(
-        "changes",
-        inspect.Parameter.KEYWORD_ONLY,
-        default=None,
-        annotation=Changes | None,
-    )
-    new = {one.name: one for one in (*changed, changes)}
-    call.__signature__ = signature.replace(
-        parameters=[*(signature.parameters | new).values()]
-    )
+def _presented(call: Any, text: str, *others: inspect.Parameter) -> Any:
+    """A function with `changes` and `others` in its signature, and with this text."""
+    signature, keyword = inspect.signature(call), inspect.Parameter.KEYWORD_ONLY
+    changes = inspect.Parameter("changes", keyword, default=None, annotation=Changes)
+    known = signature.parameters | {one.name: one for one in (*others, changes)}
+    call.__signature__ = signature.replace(parameters=[*known.values()])
     call.__module__ = "eqsim.api"  # where pickle finds it
     head, returns, rest = text.partition("\n    Returns\n")
-    call.__doc__ = head.rstrip() + "\n" + _CHANGES + returns + rest
+    call.__doc__ = f"{head.rstrip()}\n{_CHANGES}{returns}{rest}"
     return call
 
 
-def trajectory_of_drives(
+def depends_on_drive(
     function: Callable[Concatenate[Ensemble, Drive, P], Trajectory],
 ) -> TrajectoryCall[P]:
     """`accepts_run_file` for `trajectory`."""
     return cast(Any, accepts_run_file(function))
 
 
-def curve_with_velocities(
-    function: Callable[[Ensemble, Any], Curve],
-) -> CurveCall:
-    """`accepts_run_file` for `curve`: velocities of a run file are those of its sweep,
-    or else that of its drive."""
-
-    def velocities_of(file: RunFile) -> list[float]:
-        axes = Plan(file).axes if file.sweep else []
-        rows = [row for axis in axes for row in axis]
-        key = "drive.velocity"
-        found = list(dict.fromkeys(row[key] for row in rows if key in row))
-        return found or [file.constant_drive.velocity]
-
-    return cast(Any, accepts_run_file(function, velocities_of))
+def _quantities(
+    ensemble: Ensemble, units: Units | None, interface: Interface | None
+) -> tuple[Quantity, ...]:
+    return quantities(ensemble, units or Units(), interface or Interface())
 
 
-def fluctuations_over_cycles(
-    function: Callable[Concatenate[Ensemble, Drive, P], Found],
-) -> Call[Drive, P, Found]:
-    """`accepts_run_file` for `fluctuations`: lags of a run file are those of the
-    command line."""
+def swept_velocities(file: RunFile) -> list[float]:
+    """Velocities of a run file's sweep, or that of its drive. Raises InputError."""
+    axes, key = Plan(file).axes if file.sweep else [], "drive.velocity"
+    swept = dict.fromkeys(row[key] for axis in axes for row in axis if key in row)
+    return list(swept) or [file.constant_drive.velocity]
 
-    def drive_of(file: RunFile) -> Drive:
-        drive = file.constant_drive
-        return replace(drive, distance=default_lag(file.ensemble, drive))
 
-    return accepts_run_file(function, drive_of, output=())
+def over_cycles(file: RunFile) -> Drive:
+    """The drive as far as the command line shows fluctuations. Raises InputError."""
+    drive = file.constant_drive
+    return replace(drive, distance=default_lag(file.ensemble, drive))

@@ -71,26 +71,22 @@ class Result(Listed):
     _quantities: ClassVar[Quantities | None] = None  # each result has its own
 
     def in_units(self, units: Any = None, interface: Any = None) -> dict[str, Physical]:
-        """Friction as a force, a shear stress and a coefficient, as the command line
-        shows it.
-
-        Lengths and times of a result are in the units of the run file, or of the
-        ensemble and the drive. Friction is F/(N k), a length, which this multiplies.
+        """Give friction F/(N k), a length, as a force, a shear stress and a coefficient,
+        as the command line does. Other numbers are in the units of the run file, or of
+        the ensemble and the drive.
 
         Parameters
         ----------
         units : Units, optional
             Units of length, time and force; by default those of the run file.
         interface : Interface, optional
-            Area, contacts per area, and normal load or stress; by default those of the
-            run file.
+            Area, contacts per area, and load; by default those of the run file.
 
         Returns
         -------
         dict of Physical
-            By name, `force`, `shear_stress` and `friction_coefficient`, as far as they
-            are known: `value`, `stderr` and `unit`. Value and error are arrays along a
-            curve.
+            `force`, `shear_stress` and `friction_coefficient`, as far as they are known,
+            with `value`, `stderr` (arrays along a curve) and `unit`.
 
         Raises
         ------
@@ -102,13 +98,11 @@ class Result(Listed):
         Examples
         --------
         >>> from eqsim import Drive, Ensemble, Interface, Units, reference
-        >>> contacts = Ensemble(count=1000, stiffness=2.0)  # k in N/m, x_* in m
-        >>> exact = reference(contacts, Drive(velocity=0.1))
-        >>> found = exact.in_units(Units("m", "s", "N"), Interface(normal_load=5000.0))
-        >>> print(f"{found['force'].value:.2f} {found['force'].unit}")
-        1772.45 N
-        >>> print(f"{found['friction_coefficient'].value:.3f}")
-        0.354
+        >>> exact = reference(Ensemble(count=1000, stiffness=2.0), Drive(velocity=0.1))
+        >>> found = exact.in_units(Units(force="N"), Interface(normal_load=5000.0))
+        >>> force, mu = found["force"], found["friction_coefficient"]
+        >>> print(f"{force.value:.1f} {force.unit}, mu = {mu.value:.3f}")
+        1767.8 N, mu = 0.354
         """
         value, stderr = self._force()
         told: Any = self._quantities

@@ -516,6 +516,13 @@ def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
     ------
     InputError
         If the file cannot be read, or holds what is not allowed.
+
+    Examples
+    --------
+    >>> _ = Path("x.toml").write_text("[thermal]\\nkT = 0.1\\n[drive]\\nvelocity = 0.1\\n")
+    >>> file = load("x.toml", {"thermal.kT": 0.2})
+    >>> file.ensemble.thermal.kT, file.drive.velocity, file["output.points"]
+    (0.2, 0.1, 2001)
     """
     path = Path(path)
     return _changed(*read_toml(path), changes or {}, path.parent)

@@ -52,6 +52,8 @@ _NAMED = {(ENERGY, "N m"): "J", (STRESS, "N/m^2"): "Pa"}
 class Units:
     """The units in which a run file is written.
 
+    Raises InputError for a label that is too long or cannot be printed.
+
     Parameters
     ----------
     length, time, force : str
@@ -59,10 +61,10 @@ class Units:
         or any other label of up to 20 characters ("x_*"), which is shown as it is.
         Empty: not given.
 
-    Raises
-    ------
-    InputError
-        For a label that is too long or cannot be printed.
+    Examples
+    --------
+    >>> print(f"{Units('um', 's', 'nN').energy(300.0):.2e}")  # k_B T in nN um
+    4.14e-06
     """
 
     length: str = ""
@@ -172,6 +174,9 @@ class Interface:
     The interface has `contacts_per_area` times `area` contacts if both are given, of
     which the ensemble's are a sample; else it has those of the ensemble.
 
+    Raises InputError for values that are not positive, for both loads, and for a
+    stress without an area or contacts per area.
+
     Parameters
     ----------
     area : float, optional
@@ -184,11 +189,10 @@ class Interface:
     normal_stress : float, optional
         Instead of it, the load per apparent area (force/length^2), which is then known.
 
-    Raises
-    ------
-    InputError
-        For values that are not positive, for both loads, and for a stress without an
-        area or contacts per area.
+    Examples
+    --------
+    >>> Interface(area=100.0, contacts_per_area=2.5).contacts(count=1000)
+    250.0
     """
 
     area: float | None = None

@@ -221,19 +221,22 @@ def stability(
     critical: bool | None = None,
     progress: Callable[[int, float], None] = lambda *_: None,
 ) -> Stability:
-    """The stability of sliding through a spring (derived).
+    """Decide whether a slider slides steadily behind a spring (derived).
+
+    Stiffnesses are K/(N k), numbers, for N contacts of stiffness k.
 
     Parameters
     ----------
     ensemble : Ensemble
     drive : Programme
-        With a stage and one segment; where and how it starts does not matter.
+        With a stage and one segment (velocity in length/time); where and how it starts
+        does not matter.
     critical : bool, optional
         Whether to look for the critical stiffness of steady sliding, too; by default
         where the characteristic equation gives it. In mean field it takes up to some
         minutes.
-    progress : callable
-        Called with (done, total) meanwhile, of kicks or of stiffnesses tried.
+    progress : callable, optional
+        `progress(done, total)` counts kicks, or stiffnesses that were tried.
 
     Returns
     -------
@@ -246,6 +249,14 @@ def stability(
         without a mean field (annealed ones that age, the rule "langevin"); for
         identical contacts with a fixed delay, and delays of thousands of lives; and for
         a slider whose damping is too small beside its mass.
+
+    Examples
+    --------
+    >>> from eqsim import Ensemble, Programme, Segment, Stage, stability
+    >>> drive = Programme([Segment(0.1, distance=1.0)], stage=Stage(stiffness=0.1))
+    >>> found = stability(Ensemble(), drive)
+    >>> found.verdict, found.fresh_verdict
+    ('neutral', 'slips')
     """
     pulled = pulled_by(ensemble, drive)
     mode = _mode(pulled, progress)  # may refuse
@@ -347,7 +358,8 @@ def _mode(pulled: Pulled, progress: Callable[[int, float], None]) -> kicks.Mode:
 
 
 def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
-    """The steepest fall of the fresh transient (derived).
+    """Solve for the steepest fall of friction on the way from a fresh start, which a
+    spring must follow (derived). Stiffnesses are K/(N k), numbers.
 
     The renewal equation of `master.transient` on three grids, each with half the cells
     of the next, extrapolated as of second order from the finer two; the difference from
@@ -357,8 +369,9 @@ def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
     Parameters
     ----------
     ensemble : Ensemble
-    velocity : float
-        Constant, of slider and stage (length/time).
+    drive : Drive or Programme
+        Constant velocity of slider and stage (length/time); of a stage only the
+        velocity matters here. Coupled blocks are refused.
 
     Returns
     -------
@@ -367,7 +380,14 @@ def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
     Raises
     ------
     InputError
-        As `transient`.
+        For other drives, and for contacts that `transient` refuses.
+
+    Examples
+    --------
+    >>> from eqsim import Drive, Ensemble, fresh_slip
+    >>> found = fresh_slip(Ensemble(stiffness_law="uniform"), Drive(velocity=0.1))
+    >>> print(f"{found.critical_stiffness.value:.4f}")  # kappa_s = K/(N k)
+    0.1742
     """
     if isinstance(drive, (int, float)):
         said = "fresh_slip: a velocity is deprecated; give Drive(velocity)"

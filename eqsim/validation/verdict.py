@@ -213,6 +213,15 @@ def validate(
     ------
     InputError
         For an unknown suite.
+
+    Examples
+    --------
+    >>> from eqsim import validate
+    >>> validate("quick").passed  # in minutes  # doctest: +SKIP
+    True
+    >>> validate("long")
+    Traceback (most recent call last):
+    eqsim.errors.InputError: suite = 'long': must be one of "quick", "full", "verification"
     """
     if suite not in SUITES:
         raise InputError(
