@@ -1,7 +1,13 @@
 """The public names of eqsim."""
 
-from eqsim.engine.breaks import Breaks, breaks
-from eqsim.engine.elastic import elastic_trajectory
+from typing import Any, cast
+
+from eqsim import calls
+from eqsim.engine import breaks as _breaks
+from eqsim.engine import elastic as _elastic
+from eqsim.engine import steady as _steady
+from eqsim.engine import trajectory as _trajectory
+from eqsim.engine.breaks import Breaks
 from eqsim.engine.records import (
     ElasticTrajectory,
     ProgrammeTrajectory,
@@ -9,31 +15,38 @@ from eqsim.engine.records import (
     Slip,
     Trajectory,
 )
-from eqsim.engine.steady import Steady, steady
-from eqsim.engine.trajectory import trajectory
+from eqsim.engine.steady import Steady
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, z_score
-from eqsim.fitting.fit import FitResult, fit
+from eqsim.fitting import fit as _fit
+from eqsim.fitting.fit import FitResult
 from eqsim.fitting.posterior import Posterior, posterior
 from eqsim.io.runfile import RunFile, load
+from eqsim.io.units import Interface, Units
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.named import Exponential, Lognormal, Normal, Pareto, Uniform, Weibull
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
-from eqsim.master.closure import Closure, closure
-from eqsim.master.stability import FreshSlip, Stability, fresh_slip, stability
-from eqsim.master.steady import Reference, reference
-from eqsim.master.transient import Fluctuations, Transient, fluctuations, transient
-from eqsim.master.velocities import Curve, curve
+from eqsim.master import closure as _closure
+from eqsim.master import stability as _stability
+from eqsim.master import steady as _exact
+from eqsim.master import transient as _transient
+from eqsim.master import velocities as _velocities
+from eqsim.master.closure import Closure
+from eqsim.master.stability import FreshSlip, Stability
+from eqsim.master.steady import Reference
+from eqsim.master.transient import Fluctuations, Transient
+from eqsim.master.velocities import Curve
 from eqsim.model.drive import Drive, Programme, Segment, Stage
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 from eqsim.validation import Validation, validate
+from eqsim.workflows import run as _run
+from eqsim.workflows import sweep as _sweep
 from eqsim.workflows.replay import Replay, replay
-from eqsim.workflows.run import RunResult, run
-from eqsim.workflows.sweep import sweep
+from eqsim.workflows.run import RunResult
 
 __all__ = [
     "OBSERVABLES",
@@ -55,6 +68,7 @@ __all__ = [
     "FreshSlip",
     "Gamma",
     "InputError",
+    "Interface",
     "Lognormal",
     "Newborn",
     "Normal",
@@ -77,6 +91,7 @@ __all__ = [
     "Trajectory",
     "Transient",
     "Uniform",
+    "Units",
     "Validation",
     "Weibull",
     "breaks",
@@ -99,3 +114,25 @@ __all__ = [
     "validate",
     "z_score",
 ]  # fmt: skip
+
+# these take a run file, too, in the place of contacts and a drive
+breaks = calls.accepts_run_file(_breaks.breaks)
+closure = calls.accepts_run_file(_closure.closure)
+curve: calls.CurveCall = cast(
+    Any, calls.accepts_run_file(_velocities.curve, calls.swept_velocities)
+)
+elastic_trajectory = calls.accepts_run_file(_elastic.elastic_trajectory)
+fluctuations = calls.accepts_run_file(
+    _transient.fluctuations, calls.over_cycles, output=()
+)
+fresh_slip = calls.accepts_run_file(_stability.fresh_slip)
+reference = calls.accepts_run_file(_exact.reference)
+stability = calls.accepts_run_file(_stability.stability)
+steady = calls.accepts_run_file(_steady.steady)
+trajectory = calls.depends_on_drive(_trajectory.trajectory)
+transient = calls.accepts_run_file(_transient.transient)
+
+# these take changes of keys beside a run file
+fit = calls.accepts_changes(_fit.fit)
+run = calls.accepts_changes(_run.run)
+sweep = calls.accepts_changes(_sweep.sweep)

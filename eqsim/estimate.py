@@ -29,6 +29,11 @@ class Estimate:
         normal law.
     reliable : bool
         False where the error bar cannot be trusted.
+
+    Examples
+    --------
+    >>> print(Estimate(0.9769691, 3.47e-05, n=65536))
+    0.976969(35)
     """
 
     value: float | None
@@ -245,8 +250,8 @@ def difference(first: Estimate, second: Estimate) -> float | None:
 def z_score(
     estimate: Estimate, reference: float, reference_error: float = 0.0
 ) -> float | None:
-    """Standard-normal score of estimate - reference, both errors in quadrature; None if
-    both errors are 0.
+    """Find how far an estimate is from a reference: the standard-normal score of their
+    difference, both errors in quadrature; None if both errors are 0.
 
     Parameters
     ----------
@@ -259,6 +264,11 @@ def z_score(
     Returns
     -------
     float or None
+
+    Examples
+    --------
+    >>> print(f"{z_score(Estimate(0.97, 0.01, n=1000), 1.0):.2f}")
+    -3.00
     """
     if estimate.value is None or estimate.stderr is None or math.isinf(reference):
         return None

@@ -223,12 +223,12 @@ class Material:
         return dataclasses.replace(self, delay=None, aging=None).ensemble(temperature)
 
     def b(self, temperature: float = ROOM_TEMPERATURE) -> float:
-        """k x_*^2/(2 k_B T) (nt08a)."""
+        """k x_*^2/(2 k_B T), eq. (21) of Braun and Peyrard (2011)."""
         return self._newborn(temperature).b
 
     def crossover_velocity(self, temperature: float = ROOM_TEMPERATURE) -> float:
-        """v_* (m/s) of newborn contacts in the annealed ensemble (nt12); quenched
-        contacts show no crossover there."""
+        """v_* (m/s) of newborn contacts in the annealed ensemble, eq. (26) of Braun and
+        Peyrard (2011); quenched contacts show no crossover there."""
         return self._newborn(temperature).crossover_velocity
 
     def shear_stress(self, friction: float) -> float:
@@ -250,6 +250,11 @@ class RoughContacts(Material):
         H (Pa), the normal stress that the contacts carry; by default 3 sqrt(3) sigma_*.
     **material
         Those of `Material`.
+
+    Examples
+    --------
+    >>> print(f"{STEEL.stiffness:.3g} N/m, x_* = {STEEL.x_star:.3g} m")
+    4.71e+05 N/m, x_* = 2.12e-09 m
     """
 
     young_modulus: float
@@ -258,17 +263,17 @@ class RoughContacts(Material):
 
     @property
     def stiffness(self) -> float:
-        """k = (3 pi/4) E r_c (N/m; below eq:omeg)."""
+        """k = (3 pi/4) E r_c (N/m; below eq. (49) of Braun and Peyrard, 2011)."""
         return 0.75 * math.pi * self.young_modulus * self.contact_radius
 
     @property
     def x_star(self) -> float:
-        """x_* = r_c^2 sigma_*/k (m; below eq:omeg)."""
+        """x_* = r_c^2 sigma_*/k (m; below eq. (49) of Braun and Peyrard, 2011)."""
         return self.contact_radius**2 * self.shear_strength / self.stiffness
 
     @property
     def attempt_frequency(self) -> float:
-        """omega = 1.76 sqrt(E/rho)/r_c (1/s; eq:omeg)."""
+        """omega = 1.76 sqrt(E/rho)/r_c (1/s; eq. (49) of Braun and Peyrard, 2011)."""
         return 1.76 * math.sqrt(self.young_modulus / self.density) / self.contact_radius
 
     @property
@@ -302,6 +307,12 @@ class LubricantIslands(Material):
         r_c/a, at most 1/2.
     **material
         Those of `Material`.
+
+    Examples
+    --------
+    >>> film = OCTAMETHYLCYCLOTETRASILOXANE
+    >>> print(f"{film.stiffness:.3g} N/m, omega = {film.attempt_frequency:.3g} 1/s")
+    0.4 N/m, omega = 7.95e+08 1/s
     """
 
     thickness: float
@@ -395,6 +406,11 @@ def from_constants(constants: dict[str, Any], name: str = "material") -> Materia
     ------
     InputError
         With the constant that is missing, unknown or out of range.
+
+    Examples
+    --------
+    >>> from_constants(constants_of(STEEL) | {"shear_strength": 5e8}).hardness > 1e9
+    True
     """
     given = {"name": name, **constants}
     if "kind" not in given:
@@ -610,6 +626,11 @@ def run_file_text(
     ------
     InputError
         If a value is out of range.
+
+    Examples
+    --------
+    >>> print(run_file_text(STEEL)[:15])
+    title = "steel"
     """
     contacts = material.ensemble(
         temperature, disorder=disorder, stiffness_law=stiffness_law, count=count

@@ -79,7 +79,7 @@ def volterra(n, length, cells):
      ("uniform", 20, 2.64, 1e-2), ("uniform", 100, 7.01, 1e-2), ("sqrt", 0, 0.0416, 1e-4), ("sqrt", 1, 0.1740, 1e-4)],
 )  # fmt: skip
 def test_fresh_slip_known(law, n, critical, digit):
-    found = fresh_slip(contacts(n, stiffness_law=law), 0.1)
+    found = fresh_slip(contacts(n, stiffness_law=law), Drive(0.1))
     assert found.critical_stiffness.value == pytest.approx(critical, abs=digit)
     assert found.critical_stiffness.stderr < 1e-5 * max(critical, 0.1)
 
@@ -99,7 +99,7 @@ def test_fresh_slip_by_the_trapezoidal_rule(n, length, peak):
     fall, most = fine + (fine - coarse) / 3.0
     missed = np.abs(fine - coarse)  # four times what the finer one misses
     found, friction = (
-        fresh_slip(contacts(n), 0.1),
+        fresh_slip(contacts(n), Drive(0.1)),
         (n + 1) / (2.0 * special.poch(n + 1, 0.5)),
     )
     assert found.critical_stiffness.value == pytest.approx(
@@ -122,7 +122,7 @@ def test_fresh_slip_with_heat_along_a_programme(velocity):
     either side of the steepest fall, so that its slope is as good as the force over a
     sixth of that."""
     ensemble = contacts(thermal=Thermal(0.1))
-    found = fresh_slip(ensemble, velocity)
+    found = fresh_slip(ensemble, Drive(velocity))
     other = transient(ensemble, Programme((Segment(velocity, distance=2.5),)), 501)
     near = np.abs(other.X - found.X.value) < 0.5
     curve = np.polynomial.Polynomial.fit(other.X[near], other.force[near], 8)
@@ -141,8 +141,8 @@ def test_fresh_slip_with_heat_along_a_programme(velocity):
 
 def test_fresh_slip_is_that_of_any_unit():
     found, other = (
-        fresh_slip(contacts(), 0.1),
-        fresh_slip(Ensemble(Gamma(1.0, 1e-6), stiffness_law="uniform"), 1e-3),
+        fresh_slip(contacts(), Drive(0.1)),
+        fresh_slip(Ensemble(Gamma(1.0, 1e-6), stiffness_law="uniform"), Drive(1e-3)),
     )
     assert other.critical_stiffness.value == pytest.approx(
         found.critical_stiffness.value, abs=1e-9
@@ -162,7 +162,7 @@ EDGED = [
 
 @pytest.mark.parametrize(("law", "fall", "peak"), EDGED)
 def test_fresh_slip_at_the_edge_of_a_law(law, fall, peak):
-    found = fresh_slip(Ensemble(law, stiffness_law="uniform"), 0.1)
+    found = fresh_slip(Ensemble(law, stiffness_law="uniform"), Drive(0.1))
     assert found.critical_stiffness.value == pytest.approx(
         fall, abs=found.critical_stiffness.stderr
     )
@@ -178,7 +178,8 @@ def test_fresh_slip_at_the_edge_of_a_law(law, fall, peak):
 def test_fresh_slip_at_an_infinite_density():
     """No spring follows, but the jump is no slip behind a stiff one."""
     found = fresh_slip(
-        Ensemble(Distribution(stats.beta(0.5, 0.5)), stiffness_law="uniform"), 0.1
+        Ensemble(Distribution(stats.beta(0.5, 0.5)), stiffness_law="uniform"),
+        Drive(0.1),
     )
     assert math.isinf(found.critical_stiffness.value)
     assert found.X.value == pytest.approx(1.0, abs=found.X.stderr)
@@ -191,7 +192,7 @@ def test_fresh_slip_at_an_infinite_density():
     [(Delta(), (1.0 - 0.005) / 0.005), (Table([0.9, 1.1]), (0.65 - 0.15) / 0.05)],
 )
 def test_steps_that_are_slips(law, exact):
-    found = fresh_slip(Ensemble(law, stiffness_law="uniform"), 0.1)
+    found = fresh_slip(Ensemble(law, stiffness_law="uniform"), Drive(0.1))
     assert found.slip_stiffness.value == pytest.approx(
         exact, abs=found.slip_stiffness.stderr
     )
@@ -207,7 +208,7 @@ def test_a_table_slips_as_the_law_that_it_samples(law, count):
     allowed besides for what follows from it."""
     steps = law.inverse_survival(-np.log((np.arange(count) + 0.5) / count))
     table, smooth = (
-        fresh_slip(Ensemble(one, stiffness_law="uniform"), 0.1)
+        fresh_slip(Ensemble(one, stiffness_law="uniform"), Drive(0.1))
         for one in (Table(steps), law)
     )
     allowed = 1.5 * steps.max() / count / least_slip(law)
@@ -255,7 +256,7 @@ def test_no_fresh_slip():
     """Thresholds so different that friction only rises: the sum of many steps is
     smooth."""
     found = fresh_slip(
-        Ensemble(Distribution(stats.lognorm(0.9)), stiffness_law="uniform"), 0.1
+        Ensemble(Distribution(stats.lognorm(0.9)), stiffness_law="uniform"), Drive(0.1)
     )
     assert (found.critical_stiffness.value, found.X.value) == (0.0, None)
     assert found.peak_ratio.value == pytest.approx(1.0, abs=found.peak_ratio.stderr)

@@ -64,9 +64,8 @@ def breaks(
     replicas: int = 1,
     threads: int = 1,
 ) -> Breaks:
-    """List the breaks of the contacts that `trajectory` follows with the same seed.
-
-    Lengths and times are in the units of the arguments.
+    """List the breaks of the contacts that `trajectory` follows with the same seed, one
+    by one. Lengths and times are in the units of the arguments.
 
     Parameters
     ----------
@@ -93,6 +92,7 @@ def breaks(
 
     Examples
     --------
+    >>> from eqsim import Drive, Ensemble, breaks
     >>> found = breaks(Ensemble(count=100), Drive(0.1, distance=5.0))
     >>> bool(found.X[0] <= found.X[-1] <= 5.0)  # in the order of the displacement
     True

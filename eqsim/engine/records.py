@@ -112,6 +112,11 @@ class Trajectory(Record):
 
     averages: Averages
 
+    @property
+    def friction(self) -> Estimate:
+        """<F>/(N k) over the second half of the distance (length), one of `averages`."""
+        return self.averages.friction
+
 
 @dataclass(frozen=True)
 class VelocityStep:

@@ -136,6 +136,7 @@ def steady(
 
     Examples
     --------
+    >>> from eqsim import Drive, Ensemble, steady
     >>> found = steady(Ensemble(), Drive(velocity=0.1), rel_error=1e-2)
     >>> print(f"{found.friction.value:.2f}")  # <F>/(N k), a length
     0.88

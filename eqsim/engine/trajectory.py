@@ -158,10 +158,11 @@ def trajectory(
 
     Examples
     --------
+    >>> from eqsim import Drive, Ensemble, trajectory
     >>> run = trajectory(Ensemble(count=1000), Drive(0.1, distance=10.0), points=11)
-    >>> run.X[-1], run.force[0]  # lengths
-    (np.float64(10.0), np.float64(0.0))
-    >>> print(f"{run.averages.friction.value:.1f}")  # over the second half
+    >>> print(run.X[-1], run.force[0])  # lengths
+    10.0 0.0
+    >>> print(f"{run.friction.value:.1f}")  # over the second half
     0.9
     """
     expected = check_run(ensemble, drive, points, seed, replicas, max_lives)

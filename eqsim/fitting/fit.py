@@ -392,6 +392,17 @@ def fit(
     InputError
         If the section or the data cannot be used, free keys cannot be told apart
         whatever the data say, or the reference refuses a start.
+
+    Examples
+    --------
+    >>> from eqsim import fit
+    >>> data = "drive.velocity,friction,friction_stderr\\n1,1.8,0.01\\n2,1.79,0.01\\n"
+    >>> free = '[fit]\\nscale = 1.0\\nfree."thresholds.x_star".bounds = [0.1, 10.0]\\n'
+    >>> law = '[thresholds]\\nlaw = "delta"\\n[drive]\\nvelocity = 1.0\\n'
+    >>> _ = Path("data.csv").write_text(data), Path("x.toml").write_text(law + free)
+    >>> found = fit("x.toml", data="data.csv", starts=1)
+    >>> print(f"{found.values['thresholds.x_star']:.2f}")
+    3.59
     """
     require_integer("starts", starts, 1, 1000)
     require_integer("workers", workers, 1, 1024)

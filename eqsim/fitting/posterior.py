@@ -167,6 +167,13 @@ def posterior(
     ------
     InputError
         If emcee is not installed.
+
+    Examples
+    --------
+    >>> from eqsim import fit, posterior
+    >>> result = fit("runs/fit-synthetic.toml")  # doctest: +SKIP
+    >>> posterior(result).intervals["thermal.kT"]["median"]  # doctest: +SKIP
+    0.102
     """
     require_integer("workers", workers, 1, 1024)
     rng, best = np.random.default_rng(result.seed), result.best.u

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from eqsim.laws.threshold import Table, ThresholdLaw
 from eqsim.model.drive import Drive, Output, Programme, Segment, Stage, require_drive
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Disorder, Ensemble
+from eqsim.results import Listed
 
 Section = TypeVar("Section")
 _LONGEST = 10_000_000  # characters of a run file
@@ -56,7 +57,7 @@ _ALTERNATIVES = {
 
 
 @dataclass(frozen=True)
-class RunFile:
+class RunFile(Listed):
     """A checked run file.
 
     Attributes
@@ -75,6 +76,10 @@ class RunFile:
     settings: dict[str, Any] = field(repr=False)
     text: str = field(default="", repr=False, compare=False)
     folder: Path = field(default=Path(), repr=False, compare=False)
+    unlisted: ClassVar[tuple[str, ...]] = (
+        *("constant", "constant_drive", "headline", "labels"),
+        *("physical", "preferred", "quantities_in", "rows"),
+    )
 
     def __getitem__(self, key: str) -> Any:
         """The value of a "section.key" with its default filled in, None if it has none."""
@@ -288,7 +293,14 @@ class RunFile:
     def quantities(self) -> tuple[Quantity, ...]:
         """What friction is as a force, a shear stress and a coefficient, as far as that
         is known."""
-        return quantities(self.ensemble, self.units, self.interface)
+        return self.quantities_in()
+
+    def quantities_in(
+        self, units: Units | None = None, interface: Interface | None = None
+    ) -> tuple[Quantity, ...]:
+        """`quantities` in other units, or at another interface."""
+        at_interface = interface or self.interface
+        return quantities(self.ensemble, units or self.units, at_interface)
 
     def physical(
         self, friction: Estimate, reference: float | None = None
@@ -387,9 +399,22 @@ def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
     ------
     InputError
         If the file cannot be read, or holds what is not allowed.
+
+    Examples
+    --------
+    >>> _ = Path("x.toml").write_text("[thermal]\\nkT = 0.1\\n[drive]\\nvelocity = 0.1\\n")
+    >>> file = load("x.toml", {"thermal.kT": 0.2})
+    >>> file.ensemble.thermal.kT, file.drive.velocity, file["output.points"]
+    (0.2, 0.1, 2001)
     """
-    path, changes = Path(path), changes or {}
-    text, data = read_toml(path)
+    path = Path(path)
+    return _changed(*read_toml(path), changes or {}, path.parent)
+
+
+def _changed(
+    text: str, data: dict[str, Any], changes: dict[str, Any], folder: Path
+) -> RunFile:
+    """A run file of this text and content with changes. Raises InputError."""
     _without_alternatives(data, changes)
     for key, value in changes.items():
         axes, axis = data.get("sweep", {}), key.removeprefix("sweep.")
@@ -407,7 +432,7 @@ def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
     ):  # even if kT is 0
         raise InputError(_two_temperatures(heat["temperature"]))
     text += "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
-    return replace(check(data, path.parent), text=text)
+    return replace(check(data, folder), text=text)
 
 
 def _put(data: dict[str, Any], path: list[str], key: str, value: Any) -> None:
@@ -447,12 +472,19 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         raise InputError(f"{path}: is not valid TOML: {error}") from None
 
 
-def opened(file: RunFile | Path | str, folder: Path | str | None = None) -> RunFile:
-    """A run file, read if it is the path of one; paths in it start in its own folder or
-    in `folder`. Raises InputError."""
+def opened(
+    file: RunFile | Path | str,
+    folder: Path | str | None = None,
+    changes: dict[str, Any] | None = None,
+) -> RunFile:
+    """A run file with `changes` by "section.key", read if it is the path of one; paths
+    in it start in its own folder or in `folder`. Raises InputError."""
     if not isinstance(file, (RunFile, Path, str)):
         raise InputError(f"file = {shown(file)}: must be a run file or the path of one")
-    file = file if isinstance(file, RunFile) else load(file)
+    if not isinstance(file, RunFile):
+        file = load(file, changes)
+    elif changes:
+        file = _changed(file.text, copied(file.given), changes, file.folder)
     return file if folder is None else replace(file, folder=Path(folder))
 
 

@@ -41,6 +41,8 @@ _NAMED = {(ENERGY, "N m"): "J", (STRESS, "N/m^2"): "Pa"}
 class Units:
     """The units in which a run file is written.
 
+    Raises InputError for a label that is too long or cannot be printed.
+
     Parameters
     ----------
     length, time, force : str
@@ -51,10 +53,10 @@ class Units:
         Which of "x_*", "omega" and "k" are 1 in the run file: labels of axes give
         numbers without units in these.
 
-    Raises
-    ------
-    InputError
-        For a label that is too long or cannot be printed.
+    Examples
+    --------
+    >>> print(f"{Units('um', 's', 'nN').energy(300.0):.2e}")  # k_B T in nN um
+    4.14e-06
     """
 
     length: str = ""
@@ -183,6 +185,9 @@ class Interface:
     The interface has `contacts_per_area` times `area` contacts if both are given, of
     which the ensemble's are a sample; else it has those of the ensemble.
 
+    Raises InputError for values that are not positive, for both loads, and for a
+    stress without an area or contacts per area.
+
     Parameters
     ----------
     area : float, optional
@@ -195,11 +200,10 @@ class Interface:
     normal_stress : float, optional
         Instead of it, the load per apparent area (force/length^2), which is then known.
 
-    Raises
-    ------
-    InputError
-        For values that are not positive, for both loads, and for a stress without an
-        area or contacts per area.
+    Examples
+    --------
+    >>> Interface(area=100.0, contacts_per_area=2.5).contacts(count=1000)
+    250.0
     """
 
     area: float | None = None

@@ -106,7 +106,9 @@ DELAYS: dict[str, type[Fixed] | type[Exponential]] = {
 
 @dataclass(frozen=True)
 class Delay:
-    """Time a contact stays detached.
+    """Time for which a contact stays detached after it has broken.
+
+    Raises InputError for a negative time or an unknown law.
 
     Parameters
     ----------
@@ -115,10 +117,10 @@ class Delay:
     law : str
         One of `DELAYS`.
 
-    Raises
-    ------
-    InputError
-        For a negative time or an unknown law.
+    Examples
+    --------
+    >>> print(f"{Delay(2.0, 'exponential').cdf(2.0):.3f}")  # P(delay <= 2)
+    0.632
     """
 
     time: float = 0.0

@@ -105,6 +105,8 @@ class Named(Smooth):
 class Lognormal(Named):
     """Thresholds whose logarithm is normal.
 
+    Raises InputError for values out of range.
+
     Parameters
     ----------
     sigma : float
@@ -112,10 +114,10 @@ class Lognormal(Named):
     x_star : float
         Median (length), > 0.
 
-    Raises
-    ------
-    InputError
-        For values out of range.
+    Examples
+    --------
+    >>> print(f"{Lognormal(sigma=0.5).mean:.3f}")
+    1.133
     """
 
     sigma: float
@@ -165,7 +167,9 @@ class StretchedExponential(Named):
 
 @dataclass(frozen=True)
 class Weibull(StretchedExponential):
-    """P(xi > x) = exp(-(x/x_*)^shape); of shape 2 it is the gamma law with n = 0.
+    """Weibull's law, P(xi > x) = exp(-(x/x_*)^shape); shape 2 is `Gamma` with n = 0.
+
+    Raises InputError for values out of range.
 
     Parameters
     ----------
@@ -174,10 +178,10 @@ class Weibull(StretchedExponential):
     x_star : float
         x_* (length), > 0.
 
-    Raises
-    ------
-    InputError
-        For values out of range.
+    Examples
+    --------
+    >>> print(f"{Weibull(shape=3.0).mean:.3f}")
+    0.893
     """
 
     shape: float
@@ -188,12 +192,17 @@ class Weibull(StretchedExponential):
 
 @dataclass(frozen=True)
 class Exponential(StretchedExponential):
-    """P(xi > x) = exp(-x/x_*).
+    """Exponential law, P(xi > x) = exp(-x/x_*).
 
     Parameters
     ----------
     x_star : float
         Mean (length), > 0. Raises InputError for other values.
+
+    Examples
+    --------
+    >>> Exponential(x_star=2.0).mean
+    2.0
     """
 
     x_star: float = 1.0
@@ -203,8 +212,9 @@ class Exponential(StretchedExponential):
 
 @dataclass(frozen=True)
 class Normal(Named):
-    """A normal law of which positive thresholds are drawn: P_c(x) ~ exp(-(x - x_*)^2/(2
-    std^2)), x > 0.
+    """Normal law cut off at 0: P_c(x) ~ exp(-(x - x_*)^2/(2 std^2)), x > 0.
+
+    Raises InputError for values out of range.
 
     Parameters
     ----------
@@ -214,10 +224,10 @@ class Normal(Named):
     x_star : float
         Its mean, the most likely threshold (length), > 0.
 
-    Raises
-    ------
-    InputError
-        For values out of range.
+    Examples
+    --------
+    >>> print(f"{Normal(std=0.3).mean:.4f}")  # of what is left above 0
+    1.0005
     """
 
     std: float
@@ -282,17 +292,19 @@ class Normal(Named):
 
 @dataclass(frozen=True)
 class Uniform(Named):
-    """All thresholds between two are equally likely.
+    """Uniform law: all thresholds between two are equally likely.
+
+    Raises InputError for values out of range.
 
     Parameters
     ----------
     low, high : float
         Least and greatest threshold (length), 0 <= low <= 0.999 high.
 
-    Raises
-    ------
-    InputError
-        For values out of range.
+    Examples
+    --------
+    >>> Uniform(low=0.5, high=1.5).mean
+    1.0
     """
 
     low: float
@@ -337,7 +349,9 @@ class Uniform(Named):
 
 @dataclass(frozen=True)
 class Pareto(Named):
-    """A power law: P(xi > x) = (x_*/x)^exponent, x > x_*.
+    """Power law: P(xi > x) = (x_*/x)^exponent, x > x_*.
+
+    Raises InputError for values out of range.
 
     Parameters
     ----------
@@ -347,10 +361,10 @@ class Pareto(Named):
     x_star : float
         Least threshold (length), > 0.
 
-    Raises
-    ------
-    InputError
-        For values out of range.
+    Examples
+    --------
+    >>> Pareto(exponent=5.0).mean
+    1.25
     """
 
     exponent: float

@@ -153,7 +153,11 @@ LAWS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Newborn:
-    """How newborn contacts are stretched, R(x) of Q5a.
+    """Law of the stretches of newborn contacts, R(x) in eq. (1) of Braun and Peyrard
+    (2011).
+
+    Raises InputError for an unknown law, values out of range, parameters of another
+    law, and missing ones.
 
     Parameters
     ----------
@@ -171,11 +175,10 @@ class Newborn:
     std : float, optional
         Of "normal", > 0.
 
-    Raises
-    ------
-    InputError
-        For an unknown law, values out of range, parameters of another law, and missing
-        ones.
+    Examples
+    --------
+    >>> Newborn("uniform", of="threshold", low=0.0, high=0.5).active
+    True
     """
 
     law: str = "unstressed"

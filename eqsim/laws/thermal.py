@@ -10,6 +10,8 @@ from eqsim.laws.barrier import BARRIERS
 class Thermal:
     """Thermally activated breaking.
 
+    Raises InputError for negative or non-finite values and an unknown barrier.
+
     Parameters
     ----------
     kT : float
@@ -17,13 +19,13 @@ class Thermal:
     attempt_frequency : float
         omega (1/time).
     barrier : str
-        One of `eqsim.laws.barrier.BARRIERS`: "soft" (behind temper11) or "stiff"
-        (behind temper12).
+        Barrier that heat has to overcome, one of `eqsim.laws.barrier.BARRIERS`: "soft"
+        or "stiff", those behind eqs. (18) and (19) of Braun and Peyrard (2011).
 
-    Raises
-    ------
-    InputError
-        For negative or non-finite values and an unknown barrier.
+    Examples
+    --------
+    >>> Thermal(kT=0.1, attempt_frequency=10.0)
+    Thermal(kT=0.1, attempt_frequency=10.0, barrier='soft')
     """
 
     kT: float = 0.0

@@ -120,10 +120,13 @@ class Continuous:
 
 @dataclass(frozen=True)
 class Gamma(Continuous):
-    """Gamma law of threshold forces, f_s ~ f^n exp(-f/f_*) (eq:pcf).
+    """Gamma law of threshold forces, f_s ~ f^n exp(-f/f_*), eqs. (7) and (8) of Braun
+    and Peyrard (2011).
 
-    Thresholds have the density P_c(x) ~ x^(1+2n) exp(-x^2/x_*^2) (PxPf2): xi^2/x_*^2
-    follows the gamma law of shape n + 1.
+    Thresholds have the density P_c(x) ~ x^(1+2n) exp(-x^2/x_*^2): xi^2/x_*^2 follows
+    the gamma law of shape n + 1.
+
+    Raises InputError for values out of range.
 
     Parameters
     ----------
@@ -132,10 +135,10 @@ class Gamma(Continuous):
     x_star : float
         x_* (length), > 0.
 
-    Raises
-    ------
-    InputError
-        For values out of range.
+    Examples
+    --------
+    >>> print(f"{Gamma(n=1.0, x_star=2.0).mean:.3f}")
+    2.659
     """
 
     n: float = 1.0
@@ -162,7 +165,7 @@ class Gamma(Continuous):
         return self.x_star * math.sqrt(self.n + 1.0)
 
     def pdf(self, x: Any) -> Array:
-        """P_c(x) (PxPf2, normalised)."""
+        """P_c(x) (1/length)."""
         u = np.asarray(x, float) / self.x_star
         inside = np.where(u > 0, u, 1.0)
         log_pdf = (1 + 2 * self.n) * np.log(inside) - inside**2
@@ -252,6 +255,11 @@ class Delta(_Discrete):
     ----------
     x_star : float
         x_* (length), > 0. Raises InputError for other values.
+
+    Examples
+    --------
+    >>> Delta(x_star=2.0).rms
+    2.0
     """
 
     x_star: float = 1.0
@@ -268,16 +276,18 @@ class Table(_Discrete):
     """Measured or computed thresholds, resampled with equal weights as they are (the
     empirical law).
 
+    Raises InputError if there is none, one is not a number from 1e-100 to 1e100, or
+    they span over 30 decades.
+
     Parameters
     ----------
     thresholds : array_like
         Lengths, in any order.
 
-    Raises
-    ------
-    InputError
-        If there is none, one is not a number from 1e-100 to 1e100, or they span over 30
-        decades.
+    Examples
+    --------
+    >>> Table([3.0, 1.0, 2.0]).mean
+    2.0
     """
 
     def __init__(self, thresholds: Any) -> None:
@@ -404,6 +414,8 @@ def _bins(histogram: Any) -> Array:
 class Distribution(Smooth):
     """Any continuous `scipy.stats` distribution of positive thresholds.
 
+    Raises InputError if the argument is something else.
+
     Parameters
     ----------
     frozen : scipy.stats frozen distribution
@@ -413,10 +425,11 @@ class Distribution(Smooth):
         found). Next to these draws are interpolated, which the error bars of `steady`
         count, up to some 1e-3 across a gap.
 
-    Raises
-    ------
-    InputError
-        If the argument is something else.
+    Examples
+    --------
+    >>> from scipy import stats
+    >>> print(f"{Distribution(stats.gamma(3.0)).mean:.1f}")
+    3.0
     """
 
     def __init__(self, frozen: Any, breakpoints: Any = None) -> None:

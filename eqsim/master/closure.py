@@ -102,8 +102,9 @@ class Closure(Result):
 
 
 def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
-    """Transient of annealed contacts of uniform stiffness without delay, which start
-    fresh: unstretched, with newborn thresholds (derived).
+    """Solve the time-dependent closure of aging (derived): the transient of annealed
+    contacts of uniform stiffness without delay, which start fresh, that is unstretched
+    and with newborn thresholds. Force is F/(N k), a length.
 
     Errors are those of the finer of two grids, of at most some 4000 cells, while the
     values are extrapolated from both; after 30 mean lives the values are held.
@@ -112,6 +113,8 @@ def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
     ----------
     ensemble : Ensemble
     drive : Drive
+        Constant velocity (length/time) over a distance (length) from a fresh start,
+        without stage and blocks.
     points : int
         Number of equidistant displacements from 0 to the drive's distance.
 
@@ -122,7 +125,15 @@ def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
     Raises
     ------
     InputError
-        For other contacts, and if the laws are too narrow for their change of scale.
+        For other contacts and drives, and if the laws are too narrow for their change
+        of scale.
+
+    Examples
+    --------
+    >>> from eqsim import Drive, Ensemble, closure
+    >>> contacts = Ensemble(stiffness_law="uniform", disorder="annealed")
+    >>> closure(contacts, Drive(0.1, distance=3.0), points=4).force.round(4).tolist()
+    [0.0, 0.7984, 0.7325, 0.7569]
     """
     require_drive(drive)
     law, aging, unit = ensemble.thresholds, ensemble.aging, ensemble.thresholds.scale

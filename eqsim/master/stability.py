@@ -10,6 +10,7 @@ mean field (`master.kicks`).
 """
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -25,7 +26,7 @@ from eqsim.master.profile import SmoothLife, profile_of
 from eqsim.master.programme import course_of
 from eqsim.master.steady import reference, settled
 from eqsim.master.transient import convolved, from_birth, means_of, middle_half
-from eqsim.model.drive import Drive, Programme, Segment, Stage
+from eqsim.model.drive import Drive, Programme, Segment, Stage, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, pull_of, reduced
 from eqsim.model.slip import least_slip
@@ -220,19 +221,22 @@ def stability(
     critical: bool | None = None,
     progress: Callable[[int, float], None] = lambda *_: None,
 ) -> Stability:
-    """The stability of sliding through a spring (derived).
+    """Decide whether a slider slides steadily behind a spring (derived).
+
+    Stiffnesses are K/(N k), numbers, for N contacts of stiffness k.
 
     Parameters
     ----------
     ensemble : Ensemble
     drive : Programme
-        With a stage and one segment; where and how it starts does not matter.
+        With a stage and one segment (velocity in length/time); where and how it starts
+        does not matter.
     critical : bool, optional
         Whether to look for the critical stiffness of steady sliding, too; by default
         where the characteristic equation gives it. In mean field it takes up to some
         minutes.
-    progress : callable
-        Called with (done, total) meanwhile, of kicks or of stiffnesses tried.
+    progress : callable, optional
+        `progress(done, total)` counts kicks, or stiffnesses that were tried.
 
     Returns
     -------
@@ -245,10 +249,18 @@ def stability(
         without a mean field (annealed ones that age, the rule "langevin"); for
         identical contacts with a fixed delay, and delays of thousands of lives; and for
         a slider whose damping is too small beside its mass.
+
+    Examples
+    --------
+    >>> from eqsim import Ensemble, Programme, Segment, Stage, stability
+    >>> drive = Programme([Segment(0.1, distance=1.0)], stage=Stage(stiffness=0.1))
+    >>> found = stability(Ensemble(), drive)
+    >>> found.verdict, found.fresh_verdict
+    ('neutral', 'slips')
     """
     pulled = pulled_by(ensemble, drive)
     mode = _mode(pulled, progress)  # may refuse
-    fresh = fresh_slip(ensemble, pulled.velocity)
+    fresh = fresh_slip(ensemble, Drive(pulled.velocity))
     border = kicks.NO_VALUE
     if critical or (critical is None and pulled.quick):
         border = critical_stiffness(pulled, progress)
@@ -309,7 +321,7 @@ def border(
         require_number("velocity", velocity, above=0.0)
         here = pulled._replace(velocity=float(velocity))
         found = critical_stiffness(here) if critical else kicks.NO_VALUE
-        fresh = fresh_slip(here.ensemble, here.velocity).critical_stiffness
+        fresh = fresh_slip(here.ensemble, Drive(velocity)).critical_stiffness
         values = velocity, found.value, found.stderr, fresh.value, fresh.stderr
         for column, value in zip(table.values(), values, strict=True):
             column[row] = math.nan if value is None else value
@@ -345,8 +357,9 @@ def _mode(pulled: Pulled, progress: Callable[[int, float], None]) -> kicks.Mode:
     return kicks.Mode(growth, Estimate(period, period * error / found.imag, 0))
 
 
-def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
-    """The steepest fall of the fresh transient (derived).
+def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
+    """Solve for the steepest fall of friction on the way from a fresh start, which a
+    spring must follow (derived). Stiffnesses are K/(N k), numbers.
 
     The renewal equation of `master.transient` on three grids, each with half the cells
     of the next, extrapolated as of second order from the finer two; the difference from
@@ -356,8 +369,9 @@ def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
     Parameters
     ----------
     ensemble : Ensemble
-    velocity : float
-        Constant, of slider and stage (length/time).
+    drive : Drive or Programme
+        Constant velocity of slider and stage (length/time); of a stage only the
+        velocity matters here. Coupled blocks are refused.
 
     Returns
     -------
@@ -366,10 +380,24 @@ def fresh_slip(ensemble: Ensemble, velocity: float) -> FreshSlip:
     Raises
     ------
     InputError
-        As `transient`.
+        For other drives, and for contacts that `transient` refuses.
+
+    Examples
+    --------
+    >>> from eqsim import Drive, Ensemble, fresh_slip
+    >>> found = fresh_slip(Ensemble(stiffness_law="uniform"), Drive(velocity=0.1))
+    >>> print(f"{found.critical_stiffness.value:.4f}")  # kappa_s = K/(N k)
+    0.1742
     """
-    contacts, unit = settled(ensemble, velocity), ensemble.thresholds.scale
-    steady = reference(ensemble, Drive(velocity))
+    if isinstance(drive, (int, float)):
+        said = "fresh_slip: a velocity is deprecated; give Drive(velocity)"
+        warnings.warn(said, DeprecationWarning, stacklevel=3)
+        drive = Drive(drive)
+    if isinstance(drive, Programme):
+        drive = Drive(pulled_by(ensemble, drive).velocity)
+    require_drive(drive)
+    contacts, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
+    steady = reference(ensemble, drive)
     friction, error = known(steady.friction), steady.friction.stderr or 0.0
     distance = _LIVES * known(steady.travel) / unit
     least, level = least_slip(ensemble.thresholds) / unit, friction / unit

@@ -47,11 +47,12 @@ def settled(ensemble: Ensemble, velocity: float) -> Reduced:
 
 
 def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Reference:
-    """The steady averages of an ensemble by quadrature (nt13, star1 and derived
-    equations).
+    """Solve for the steady averages of an ensemble by quadrature.
 
-    Contacts travel from their birth at y to where they break; with the mean travel E[l]
-    = 1/Gamma (Q5aG)
+    Friction is F/(N k), a length, for N contacts of stiffness k; the number of contacts
+    makes no difference. Annealed contacts follow eqs. (27) and (37) of Braun and Peyrard
+    (2011), quenched ones derived equations. Contacts travel from their birth at y to
+    where they break; with the mean travel E[l] = 1/Gamma, eq. (3),
 
         pinned = E[l]/(E[l] + v<tau>),    friction = E[W]/(E[l] + v<tau>) + (eta v/k)(1 - pinned),    f_k = E[W]/E[l],
 
@@ -63,7 +64,8 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     ----------
     ensemble : Ensemble
     drive : Drive
-        Only its velocity counts.
+        Its velocity (length/time) is all that matters: a drive with a programme, a
+        stage or blocks is refused, since it has no steady state of this kind.
     variance : bool
         Whether to find the force variance of contacts born unstretched, too, which
         takes longer; it is known anyway of those born stretched. Where it is infinite
@@ -76,8 +78,15 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     Raises
     ------
     InputError
-        If a dimensionless number is out of range, and for annealed contacts of more
-        than 1000 different thresholds.
+        For a drive that is not constant, if a dimensionless number is out of range, and
+        for annealed contacts of more than 1000 different thresholds.
+
+    Examples
+    --------
+    >>> from eqsim import Drive, Ensemble, reference
+    >>> exact = reference(Ensemble(), Drive(velocity=0.1))
+    >>> print(f"{exact.friction.value:.6f}, {exact.pinned.value:.1f}")
+    0.883883, 1.0
     """
     require_drive(drive)
     v = drive.velocity

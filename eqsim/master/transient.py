@@ -114,16 +114,19 @@ def transient(
     *,
     variance: bool = False,
 ) -> Transient:
-    """The exact means of a run, by the renewal equation (derived; renewal form of Q5a,
-    Q5aG and Q6), along a programme by that in two times (`master.programme`), and of a
-    slider that a stage pulls in mean field (`master.slider`).
+    """Solve for the exact means of a run by the renewal equation.
+
+    Force is F/(N k), a length. The equation is the renewal form of eqs. (1), (3) and (4)
+    of Braun and Peyrard (2011) (derived), along a programme in two times
+    (`master.programme`), and of a slider that a stage pulls in mean field
+    (`master.slider`), where X is found, not given. Coupled blocks are refused.
 
     Parameters
     ----------
     ensemble : Ensemble
     drive : Drive or Programme
-        Of a Drive from a fresh start the transient, from a stationary one the steady
-        values.
+        A fresh start gives the transient; at constant velocity a stationary one gives
+        the steady values. Velocities are length/time, distances lengths.
     points : int
         Number of equidistant displacements from 0 to the drive's distance; along a
         programme that of `Programme.grid`.
@@ -140,6 +143,12 @@ def transient(
         For arguments out of range; along a programme for annealed contacts that age,
         the rule "langevin", contacts born stretched, and more steps than can be solved
         for.
+
+    Examples
+    --------
+    >>> from eqsim import Drive, Ensemble, transient
+    >>> transient(Ensemble(), Drive(0.1, distance=3.0), points=4).force.round(4).tolist()
+    [0.0, 0.8579, 0.8727, 0.8897]
     """
     require_integer("points", points, 2, 10**8)
     if isinstance(drive, Programme):
@@ -422,7 +431,8 @@ class Fluctuations(Result):
 
 
 def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctuations:
-    """Stationary variance and autocovariance of F (derived).
+    """Solve for the stationary variance and autocovariance of the force, N times those
+    of F/(N k) for N contacts of stiffness k (derived).
 
     A contact found at stretch x (density E[S]/(C + v<tau>)) either survives the lag, or
     breaks after y and begins anew with the transient of a contact that has just broken;
@@ -433,7 +443,8 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     ----------
     ensemble : Ensemble
     drive : Drive
-        Lags go up to its distance.
+        Constant velocity (length/time), without stage and blocks. Lags go up to its
+        distance (length); by default five mean cycles of a run file.
     points : int
         Number of equidistant lags from 0.
 
@@ -447,6 +458,13 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
         For arguments out of range, for quenched contacts of the sqrt law whose
         stiffness follows aging thresholds, and where the variance is infinite, as the
         autocovariance is then at any lag.
+
+    Examples
+    --------
+    >>> from eqsim import Drive, Ensemble, fluctuations
+    >>> found = fluctuations(Ensemble(), Drive(0.1, distance=2.0), points=3)
+    >>> found.covariance.round(4).tolist()  # at lags 0, 1 and 2
+    [0.6771, 0.0504, 0.0111]
     """
     require_drive(drive)
     require_integer("points", points, 2, 10**6)

@@ -120,14 +120,15 @@ class Curve(Result):
 
 
 def curve(ensemble: Ensemble, velocities: Array) -> Curve:
-    """Steady averages at many velocities, the same as those of `reference` within the
-    errors of both.
+    """Solve for the steady averages at many velocities, the same as those of
+    `reference` within the errors of both. Friction is F/(N k), a length.
 
     Parameters
     ----------
     ensemble : Ensemble
     velocities : array_like, shape (velocities,)
-        > 0 (length/time), in any order.
+        > 0 (length/time), in any order, of a slider without stage and blocks; by
+        default those of a run file's sweep over drive.velocity, or of its drive.
 
     Returns
     -------
@@ -136,7 +137,14 @@ def curve(ensemble: Ensemble, velocities: Array) -> Curve:
     Raises
     ------
     InputError
-        As `reference` does.
+        For velocities that are not positive, and for contacts that `reference` refuses.
+
+    Examples
+    --------
+    >>> from eqsim import Ensemble, Thermal, curve
+    >>> found = curve(Ensemble(thermal=Thermal(kT=0.1)), [0.01, 0.1, 1.0])
+    >>> found.friction.round(4).tolist()
+    [0.977, 0.9284, 0.8912]
     """
     v = np.asarray(velocities, float)
     if v.ndim != 1 or not v.size:

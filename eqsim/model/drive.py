@@ -25,7 +25,11 @@ Start = Literal["fresh", "stationary"]
 
 @dataclass(frozen=True)
 class Drive:
-    """Rigid slider at constant velocity, or a plate that pulls coupled blocks.
+    """Constant velocity of a rigid slider, or of a plate that pulls coupled blocks.
+
+    The blocks are declared here; a stage in `Programme(stage=...)`.
+
+    Raises InputError for a value out of range.
 
     Parameters
     ----------
@@ -40,10 +44,10 @@ class Drive:
         The blocks that a plate pulls so far and so fast (`elastic_trajectory`); else
         the slider is rigid.
 
-    Raises
-    ------
-    InputError
-        For a value out of range.
+    Examples
+    --------
+    >>> Drive(velocity=0.1, distance=5.0, start="stationary").distance
+    5.0
     """
 
     velocity: float
@@ -73,6 +77,9 @@ class Drive:
 class Segment:
     """A piece of a programme at constant velocity, for a `distance` or a `time`.
 
+    Raises InputError for a value out of range, and unless either a distance or a
+    time is given.
+
     Parameters
     ----------
     velocity : float
@@ -85,10 +92,10 @@ class Segment:
         At how many instants after its beginning the force is recorded, by default a
         fair share of all.
 
-    Raises
-    ------
-    InputError
-        For a value out of range, and unless either a distance or a time is given.
+    Examples
+    --------
+    >>> Segment(-0.5, distance=2.0).duration  # 2 back at velocity 0.5
+    4.0
     """
 
     velocity: float = 0.0
@@ -141,6 +148,8 @@ class Stage:
     all per N k, with Y the position of the stage and of the spring's end, and F =
     <F>/(N k) (derived).
 
+    Raises InputError for a value out of range.
+
     Parameters
     ----------
     stiffness : float
@@ -156,10 +165,10 @@ class Stage:
         By how much the force may miss its course between two steps (in units of the
         mean threshold).
 
-    Raises
-    ------
-    InputError
-        For a value out of range.
+    Examples
+    --------
+    >>> Programme([Segment(0.1, distance=5.0)], stage=Stage(0.1)).stage.stiffness
+    0.1
     """
 
     stiffness: float
@@ -194,6 +203,9 @@ class Grid(NamedTuple):
 class Programme:
     """A drive in segments, each at constant velocity: steps, holds, reversals.
 
+    Raises InputError for an empty programme, and a stationary start without a
+    velocity.
+
     Parameters
     ----------
     segments : sequence of Segment
@@ -207,10 +219,11 @@ class Programme:
         The programme is that of a stage that pulls the slider through a spring; else of
         the slider itself.
 
-    Raises
-    ------
-    InputError
-        For an empty programme, and a stationary start without a velocity.
+    Examples
+    --------
+    >>> drive = Programme([Segment(0.1, distance=5.0), Segment(time=100.0)])  # and a hold
+    >>> drive.grid(points=5).X.tolist()
+    [0.0, 2.5, 5.0, 5.0, 5.0]
     """
 
     segments: tuple[Segment, ...]
@@ -290,6 +303,8 @@ MOST_SERIES = 20_000_000  # forces of replicas that are kept one by one
 class Output:
     """How a run is recorded.
 
+    Raises InputError for a value out of range.
+
     Parameters
     ----------
     points : int
@@ -302,11 +317,6 @@ class Output:
         Whether the force of every replica is kept.
     breaks : bool
         Whether every break is listed.
-
-    Raises
-    ------
-    InputError
-        For a value out of range.
     """
 
     points: int = 2001

@@ -32,7 +32,10 @@ _NEGLIGIBLE = 1e-12  # of the response of a block to its own breaks: below what 
 
 @dataclass(frozen=True)
 class Elastic:
-    """A chain or a sheet of blocks.
+    """A chain or a sheet of blocks of contacts, which a plate pulls (derived). It is
+    declared in `Drive(elastic=...)`.
+
+    Raises InputError for a value out of range.
 
     Parameters
     ----------
@@ -48,10 +51,10 @@ class Elastic:
     edges : str
         "open" or "periodic".
 
-    Raises
-    ------
-    InputError
-        For a value out of range.
+    Examples
+    --------
+    >>> Elastic(blocks=100, coupling=1.0, drive_stiffness=0.25).mean_size
+    5.0
     """
 
     blocks: int | tuple[int, int]

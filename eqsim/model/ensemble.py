@@ -30,6 +30,8 @@ Disorder = Literal["quenched", "annealed"]
 class Ensemble:
     """N contacts of one kind (section 1 of Braun and Peyrard, 2011).
 
+    Raises InputError for a value out of range, or laws that do not go together.
+
     Parameters
     ----------
     thresholds : ThresholdLaw
@@ -57,10 +59,11 @@ class Ensemble:
     newborn : Newborn
         Law of their stretches at birth.
 
-    Raises
-    ------
-    InputError
-        For a value out of range, or laws that do not go together.
+    Examples
+    --------
+    >>> contacts = Ensemble(Gamma(n=1.0), Thermal(kT=0.1), count=1000)
+    >>> contacts.b  # k x_*^2/(2 kT)
+    5.0
     """
 
     thresholds: ThresholdLaw = Gamma()
@@ -167,8 +170,8 @@ class Ensemble:
 
     @property
     def b(self) -> float:
-        """k x_*^2 / (2 kT) (nt08a); x_* is the scale of the threshold law. Infinite at
-        kT = 0."""
+        """k x_*^2/(2 kT), eq. (21) of Braun and Peyrard (2011), with the scale x_* of
+        the threshold law. Infinite at kT = 0."""
         energy = 0.5 * self.stiffness * self.thresholds.scale * self.thresholds.scale
         return (
             energy / self.thermal.kT if self.thermal.kT > energy * 1e-300 else math.inf
@@ -176,9 +179,9 @@ class Ensemble:
 
     @property
     def crossover_velocity(self) -> float:
-        """v_* of the annealed ensemble, where Delta U(inf) = 1: nt12 (S_0 = 1) for n =
-        1, soft, uniform; the same definition for every other law (derived), of newborn
-        thresholds. 0 at kT = 0."""
+        """v_* (length/time) of the annealed ensemble of newborn thresholds, where
+        Delta U(inf) = 1: eq. (26) of Braun and Peyrard (2011) with S_0 = 1, for every
+        law (derived). 0 at kT = 0."""
         thermal = self.thermal
         if math.isinf(self.b) or thermal.attempt_frequency == 0:
             return 0.0

@@ -195,6 +195,15 @@ def validate(
     ------
     InputError
         For an unknown suite.
+
+    Examples
+    --------
+    >>> from eqsim import validate
+    >>> validate("quick").passed  # in minutes  # doctest: +SKIP
+    True
+    >>> validate("long")
+    Traceback (most recent call last):
+    eqsim.errors.InputError: suite = 'long': must be one of "quick", "full", "verification"
     """
     require_choice("suite", suite, (*SUITES,))
     plan, (first, step), found = SUITES[suite], part, Found()

@@ -60,7 +60,7 @@ class Replay:
 
 
 def replay(
-    path: Path,
+    path: Path | str,
     *,
     workers: int = 1,
     progress: Progress = lambda *_: None,
@@ -70,7 +70,7 @@ def replay(
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         A file that eqsim wrote. Files that its run file names are looked for where they
         were.
     workers : int
@@ -89,8 +89,19 @@ def replay(
     ------
     InputError
         If the file is none of eqsim's, or what made it cannot be repeated.
+
+    Examples
+    --------
+    >>> from eqsim import replay, run
+    >>> text = "[contacts]\\ncount = 500\\n[drive]\\nvelocity = 0.1\\ndistance = 5.0\\n"
+    >>> _ = Path("x.toml").write_text(text)
+    >>> files = run("x.toml").files(formats=())
+    >>> _ = Path("trajectory.parquet").write_bytes(files["trajectory.parquet"])
+    >>> replay("trajectory.parquet").same
+    True
     """
     known = {**_REPEAT, **(others or {})}
+    path = Path(path)
     table, origin = _read(path, known)
     import pandas as pd
 

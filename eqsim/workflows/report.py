@@ -11,6 +11,7 @@ from eqsim.io.runfile import RunFile
 from eqsim.lazy import lazily
 from eqsim.master.transient import Transient, transient
 from eqsim.model.ensemble import Ensemble
+from eqsim.results import Listed, Physical, tell_quantities
 
 with lazily():
     from eqsim.plots import style
@@ -98,13 +99,21 @@ class FileResult:
         return found
 
 
-class Simulated(FileResult):
+class Simulated(FileResult, Listed):
     """A run file that was simulated: a `trajectory`, drawn with the `exact` mean, which
     is a result or None and why, if there is one; `who` shared the work."""
 
     command = "run"
     trajectory: Any
     who: str = "threads"
+
+    def __post_init__(self) -> None:
+        tell_quantities(self, self.file.quantities_in)
+
+    def in_units(self, units: Any = None, interface: Any = None) -> dict[str, Physical]:
+        """The force of the trajectory as `Result.in_units` gives it."""
+        found: dict[str, Physical] = self.trajectory.in_units(units, interface)
+        return found
 
     @cached_property
     def exact(self) -> tuple[Transient | None, str]:

@@ -348,6 +348,15 @@ def run(
     InputError
         If the run file cannot be simulated, if more than `max_lives` lives are
         predicted, or if a worker is lost.
+
+    Examples
+    --------
+    >>> from eqsim import run
+    >>> text = "[contacts]\\ncount = 500\\n[drive]\\nvelocity = 0.1\\ndistance = 5.0\\n"
+    >>> _ = Path("x.toml").write_text(text)
+    >>> result = run("x.toml", changes={"output.points": 6})
+    >>> result.trajectory.X.tolist(), result.steady.reached
+    ([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], True)
     """
     file = opened(file, folder)
     ensemble, drive, output = file.ensemble, file.drive, file.output

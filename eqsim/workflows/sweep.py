@@ -69,6 +69,14 @@ def sweep(
     ------
     InputError
         For a grid that cannot be used, and a folder that holds something else.
+
+    Examples
+    --------
+    >>> from eqsim import sweep
+    >>> grid = {"drive.velocity": [0.1, 1.0]}
+    >>> found = sweep({"contacts.count": 100}, grid, rel_error=0.1, progress=False)
+    >>> found["friction_reference"].round(4).tolist()
+    [0.8839, 0.8839]
     """
     require_integer("workers", workers, 0, 1024)
     if out is not None and not str(out).strip():
@@ -90,7 +98,7 @@ def sweep(
     for failure in found.failures[:1]:
         first = f"the first at {failure['changes']}: {failure['message']}"
         warnings.warn(
-            f"{found.failed} of {found.points} points failed, {first}", stacklevel=2
+            f"{found.failed} of {found.points} points failed, {first}", stacklevel=3
         )
     return table
 

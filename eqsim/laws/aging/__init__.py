@@ -38,7 +38,10 @@ _MOST_BETA = 1000.0  # thresholds then grow a thousandfold per e-fold of their a
 
 @dataclass(frozen=True)
 class Aging:
-    """How thresholds age while pinned.
+    """Growth of thresholds while contacts are pinned.
+
+    Raises InputError for an unknown rule, values out of range, and parameters of
+    another rule.
 
     Parameters
     ----------
@@ -56,10 +59,10 @@ class Aging:
     cutoff_time : float, optional
         t_c (time) of the same.
 
-    Raises
-    ------
-    InputError
-        For an unknown rule, values out of range, and parameters of another rule.
+    Examples
+    --------
+    >>> Aging("logarithmic", beta=0.1, cutoff_time=1.0).active
+    True
     """
 
     rule: str = "none"
