@@ -9,7 +9,8 @@ import pytest
 
 import eqsim
 from eqsim.paper import EQUATIONS
-from eqsim.results import OfTrajectory, Result
+from eqsim.results import Result
+from eqsim.workflows.report import FileResult
 
 ROOT = Path(__file__).parent.parent
 # classes of which functions make the instances, as they make results
@@ -49,7 +50,7 @@ def public():
         for name, one in known.items()
         if name not in MADE
         and callable(one)
-        and not (isinstance(one, type) and issubclass(one, Result | OfTrajectory))
+        and not (isinstance(one, type) and issubclass(one, Result | FileResult))
     }
 
 
