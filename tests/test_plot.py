@@ -381,7 +381,7 @@ def test_a_sweep_knows_its_title_units_and_curve(tmp_path):
 
 @pytest.mark.parametrize(
     ("of", "label"),
-    [("threshold", "over threshold"), ("length", " [length unit of the run file]")],
+    [("threshold", "over threshold"), ("length", " [$x_*$]")],
 )
 def test_stretch_at_birth_is_a_length_or_a_fraction(tmp_path, of, label):
     run = tmp_path / "born.toml"
