@@ -30,21 +30,28 @@ def dimension(text: str) -> Dimension:
     return Dimension(**powers)
 
 
+def product(factors: list[tuple[str, int]], times: str = " ", per: str = "/") -> str:
+    """Names to their powers, such as "nN s/m^2" or "1/s"; "" without any."""
+    texts = [
+        (name + f"^{abs(power)}" * (abs(power) > 1), power) for name, power in factors
+    ]
+    above = times.join(text for text, power in texts if power > 0)
+    below = "".join(per + text for text, power in texts if power < 0)
+    return (above or "1" * bool(below)) + below
+
+
 NUMBER = Dimension()
 LENGTH = dimension("length")
 TIME = dimension("time")
 FORCE = dimension("force")
-RATE = dimension("1/time")
 VELOCITY = dimension("length/time")
 ENERGY = dimension("force length")
-STIFFNESS = dimension("force/length")
 STRESS = dimension("force/length^2")
 AREA = dimension("length^2")
-PER_AREA = dimension("1/length^2")
 
 
 class Entry(NamedTuple):
-    """What is known of a key or a column.
+    """A key or a column.
 
     Attributes
     ----------
@@ -69,11 +76,15 @@ class Entry(NamedTuple):
     values: str = ""
 
     @property
+    def mathtext(self) -> str:
+        """Words and symbol as in pictures."""
+        return f"{self.words}  {self.symbol}".strip()
+
+    @property
     def label(self) -> str:
         """Words and symbol in plain text."""
-        symbol = re.sub(r"\\mathrm\{(\w+)\}", r"\1", self.symbol.strip("$"))
-        symbol = symbol.replace(r"\langle ", "<").replace(r" \rangle", ">")
-        return f"{self.words}  {symbol}".rstrip()
+        text = re.sub(r"\\mathrm\{(\w+)\}", r"\1", self.mathtext.replace("$", ""))
+        return text.replace(r"\langle ", "<").replace(r" \rangle", ">")
 
     @property
     def unit(self) -> str:
@@ -86,7 +97,8 @@ class Entry(NamedTuple):
 
 
 def _entry(known: dict[str, str]) -> Entry:
-    return Entry(**{**known, "dimension": dimension(known.get("dimension", ""))})  # type: ignore[arg-type]
+    others = {name: text for name, text in known.items() if name != "dimension"}
+    return Entry(dimension=dimension(known.get("dimension", "")), **others)
 
 
 _FILE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
@@ -97,8 +109,8 @@ COLUMNS = {name: _entry(known) for name, known in _FILE["columns"].items()}
 
 
 def entry(name: str) -> Entry | None:
-    """What is known of a key or a column; of `drive.programme.1.hold` and
-    `segment_1_peak` it says which segment."""
+    """The entry of a key or a column, None without one; the words of those of a
+    segment, `drive.programme.1.hold` and `segment_1_peak`, say which."""
     if found := re.fullmatch(r"segment_(\d+)_(\w+)", name):
         known = COLUMNS.get(f"segment.{found[2]}")
         return known and known._replace(words=f"segment {found[1]}: {known.words}")

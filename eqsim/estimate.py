@@ -60,12 +60,8 @@ class Estimate:
         mark = "" if self.reliable else "  unreliable"
         if not self.stderr or not math.isfinite(self.stderr):
             return f"{self.value:.8g}{mark}"
-        exponent = (
-            math.floor(math.log10(max(abs(self.value), self.stderr)))
-            if self.value
-            else 0
-        )
-        exponent = 0 if -4 < exponent < 6 else exponent
+        exponent = math.floor(math.log10(max(abs(self.value), self.stderr)))
+        exponent = 0 if -4 < exponent < 6 or not self.value else exponent
         scale = 10.0**exponent
         digits = max(0, 1 - math.floor(math.log10(float(f"{self.stderr / scale:.1e}"))))
         last = round(self.stderr / scale * 10**digits)
@@ -113,12 +109,9 @@ class Averages(Result):
     def estimates(self, *, brief: bool = False) -> dict[str, Any]:
         """The estimates by name, also those beside the observables; if `brief`, of the
         observables those `shown`."""
+        hidden = OBSERVABLES.keys() - set(self.shown) if brief else set()
         every = super().estimates()
-        return {
-            name: one
-            for name, one in every.items()
-            if not brief or name in self.shown or name not in OBSERVABLES
-        }
+        return {name: one for name, one in every.items() if name not in hidden}
 
     def plot(
         self, axes: Any = None, *, reference: "Averages | None" = None, **style: Any
@@ -140,48 +133,32 @@ class Averages(Result):
         -------
         matplotlib Axes
         """
-        every = {name: getattr(self, name) for name in self.shown}
-        found = {
-            name: one
-            for name, one in every.items()
-            if one.value is not None and not one.diverges
-        }
-        marks = {
-            name: f"{name.replace('_', ' ')}\n{one}" for name, one in found.items()
-        }
-        sizes = {
-            name: (one.value, 2.0 * (one.stderr or 0.0)) for name, one in found.items()
-        }
-        if reference is not None:
-            differences = {
-                name: difference(one, getattr(reference, name))
-                for name, one in found.items()
-            }
-            sizes = {name: (z, 0.0) for name, z in differences.items() if z is not None}
-            marks = {
-                name: f"{marks[name]}\nreference {getattr(reference, name).value:.8g}"
-                for name in sizes
-            }
+        marks, values, errors = [], [], []
+        for name in self.shown:
+            one, exact = getattr(self, name), getattr(reference, name, None)
+            if one.value is None or one.diverges:
+                continue
+            mark, value, error = f"{one}", one.value, 2.0 * (one.stderr or 0.0)
+            if exact is not None:
+                value, error = difference(one, exact), 0.0
+                if value is None:
+                    continue
+                mark += f"\nreference {exact.value:.8g}"
+            marks.append(f"{name.replace('_', ' ')}\n{mark}")
+            values.append(value)
+            errors.append(error)
         if axes is None:
-            axes = new_axes(figsize=(6.4, 0.9 + 0.75 * len(sizes)))
-            axes.set_xlabel(
-                "value"
-                if reference is None
-                else "difference from the reference  [standard errors]"
-            )
-            axes.set_yticks(range(len(sizes)), [marks[name] for name in sizes])
-            axes.set_ylim(len(sizes) - 0.5, -0.5)
+            axes = new_axes(figsize=(6.4, 0.9 + 0.75 * len(marks)))
+            axes.set_yticks(range(len(marks)), marks)
+            axes.set_ylim(len(marks) - 0.5, -0.5)
+            axes.set_xlabel("value")
             if reference is not None:
+                axes.set_xlabel("difference from the reference  [standard errors]")
                 axes.axvspan(-2.0, 2.0, color="0.92", zorder=0)
-                limit = max(4.0, *(1.1 * abs(z) for z, _ in sizes.values()))
+                limit = max(4.0, *(1.1 * abs(z) for z in values))
                 axes.set_xlim(-limit, limit)
-        values, errors = zip(*sizes.values(), strict=True) if sizes else ((), ())
-        axes.errorbar(
-            values,
-            range(len(sizes)),
-            xerr=errors,
-            **{"fmt": "o", "capsize": 3, **style},
-        )
+        style = {"fmt": "o", "capsize": 3, **style}
+        axes.errorbar(values, range(len(marks)), xerr=errors, **style)
         if "label" in style:
             axes.legend()
         return axes
@@ -196,10 +173,7 @@ class Averages(Result):
         return tuple(name for name in OBSERVABLES if name not in hidden)
 
 
-OBSERVABLES: dict[str, catalogue.Entry] = {
-    observable.name: catalogue.COLUMNS[observable.name]
-    for observable in fields(Averages)
-}
+OBSERVABLES = {one.name: catalogue.COLUMNS[one.name] for one in fields(Averages)}
 
 
 def ratio(numerator: Array, denominator: Array, n: int) -> Estimate:
@@ -213,36 +187,30 @@ def ratio(numerator: Array, denominator: Array, n: int) -> Estimate:
     if batches < 2:
         return Estimate(value, None, n, None, False)
     residual = numerator - value * denominator
-    variance = (
-        batches / (batches - 1) * float(np.sum((residual - residual.mean()) ** 2))
-    )
+    square = float(np.sum((residual - residual.mean()) ** 2))
+    variance = batches / (batches - 1) * square
     return Estimate(value, math.sqrt(variance) / abs(total), n, batches - 1)
 
 
 def drifts(numerator: Array, denominator: Array, sigmas: float) -> bool:
-    """Whether two halves of a record, arrays (batches, 2), have ratios that differ by
+    """True if two halves of a record, arrays (batches, 2), have ratios that differ by
     more than `sigmas` errors."""
     total = denominator.sum(axis=0)
     if np.any(total == 0):
         return True
     ratios = numerator.sum(axis=0) / total
     residual = np.diff((numerator - ratios * denominator) / total, axis=1)
-    return bool(
-        abs(ratios[1] - ratios[0])
-        > sigmas * math.sqrt(len(residual) * np.var(residual, ddof=1))
-    )
+    error = math.sqrt(len(residual) * np.var(residual, ddof=1))
+    return bool(abs(ratios[1] - ratios[0]) > sigmas * error)
 
 
 def difference(first: Estimate, second: Estimate) -> float | None:
     """first - second in units of their joint standard error; None if that is 0 or
     unknown."""
-    if (
-        first.value is None
-        or second.value is None
-        or first.stderr is None
-        or second.stderr is None
-    ):
-        return None  # of infinite values no error is known
+    if first.value is None or second.value is None:
+        return None
+    if first.stderr is None or second.stderr is None:  # as of infinite values
+        return None
     sigma = math.hypot(first.stderr, second.stderr)
     return (first.value - second.value) / sigma if sigma else None
 

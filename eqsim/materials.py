@@ -41,7 +41,7 @@ ROOM_TEMPERATURE = 4e-21 / BOLTZMANN  # K; kT = 4e-21 J as in the paper, 289.7 K
 
 
 def _decimal(value: float) -> float:
-    """To 15 digits, all that every decimal number keeps as a float: 0.4 and not
+    """Round to 15 digits, all that every decimal number keeps as a float: 0.4 and not
     0.39999999999999997."""
     return float(f"{value:.15g}")
 
@@ -76,7 +76,8 @@ class ArrheniusTime(_Arrhenius):
     """
 
     def value(self, temperature: float) -> float:
-        """tau (s) at `temperature` (K). Raises InputError where it is beyond 1e100 s."""
+        """tau (s) at `temperature` (K). Raises InputError where it is beyond
+        1e100 s."""
         exponent = self._exponent(temperature)
         if math.log(self.prefactor) + exponent > math.log(1e100):
             said = "too low for the activated time, which exceeds 1e100 s"
@@ -122,7 +123,7 @@ class ActivatedAging:
 
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """What the interfaces of this module share.
+    """An interface; what those of this module share.
 
     Every method raises InputError for a temperature (K) that is not a number >= 0.
 
@@ -283,13 +284,13 @@ class RoughContacts(Material):
 
     @property
     def hardness(self) -> float:
-        """As given, or 3 sqrt(3) sigma_* (Pa), of plastic contacts: three times the
+        """H as given, or 3 sqrt(3) sigma_* (Pa) of plastic contacts: three times the
         yield stress (Tabor), which is sqrt(3) times that in shear (von Mises)."""
         return self.indentation_hardness or 3.0 * math.sqrt(3.0) * self.shear_strength
 
     @property
     def elastic_modulus(self) -> float:
-        """That of the asperities: the two are of one material."""
+        """E of the asperities: the two are of one material."""
         return self.young_modulus
 
 
@@ -545,7 +546,7 @@ def parameters(
 
 
 def _origin(material: Material) -> str:
-    """Where the hardness of a material is from."""
+    """The source of the hardness of a material."""
     if getattr(material, "indentation_hardness", None):
         return "hardness, given"
     return "hardness of plastic contacts, 3 sqrt(3) sigma_*"

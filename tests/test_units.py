@@ -64,7 +64,7 @@ def call(*args):
         (Units("m", "s", "N"), catalogue.ENERGY, "J", 1.0),
         (Units("m", "s", "N"), catalogue.STRESS, "Pa", 1.0),
         (Units("nm", "s", "nN"), catalogue.STRESS, "nN/nm^2", 1e9),
-        (Units("m", "h", "N"), catalogue.RATE, "1/h", 1 / 3600),
+        (Units("m", "h", "N"), catalogue.dimension("1/time"), "1/h", 1 / 3600),
         (Units("m", "s", "kN"), Dimension(-1, 1, 1), "kN s/m", 1e3),
         (Units("m"), catalogue.AREA, "m^2", 1.0),
         (Units("x_*"), catalogue.LENGTH, "x_*", None),

@@ -1,5 +1,5 @@
-"""What steady data can never tell: changes of free keys that leave every prediction as
-it is, known by name (derived).
+"""Symmetries, which steady data can never tell: changes of free keys that leave every
+prediction as it is, known by name (derived).
 
 A symmetry scales keys by powers of a factor. Those of all steady friction are two:
 lengths x_*, at the same velocity and kT, so that times are ~ x_*, k ~ 1/x_*^2, and N ~
@@ -54,10 +54,8 @@ def refused(
     measured : set of str
         Observables, or "record".
     """
-    return [
-        *_scalings(file, free, scaled, measured),
-        *_limits(file, free, scaled, measured),
-    ]
+    asked = file, free, scaled, measured
+    return [*_scalings(*asked), *_limits(*asked)]
 
 
 def _scalings(
@@ -89,8 +87,10 @@ def _scalings(
         said = ", ".join(f"{key} ~ l^{p / least:+.3g}" for key, p in powers.items())
         cure = "kT known"
         if abs(combination[0]) > 1e-9:
-            cure = "a length (peak_X, break_stretch) or the variance of the force (force_std)"
-        yield f"{said} leaves every prediction as it is; fix one of these keys, or measure {cure}"
+            cure = "a length (peak_X, break_stretch)"
+            cure += " or the variance of the force (force_std)"
+        cure = f"fix one of these keys, or measure {cure}"
+        yield f"{said} leaves every prediction as it is; {cure}"
 
 
 def powers_of(file: RunFile, name: str) -> tuple[int, int]:
@@ -121,46 +121,32 @@ def _limits(
 ) -> Iterator[str]:
     by_key, law = {one.key: one for one in free}, file["thresholds.law"]
     cold = not file["thermal.kT"] and "thermal.kT" not in by_key
-    for key in ("thermal.attempt_frequency",) if cold else ():
-        if key in by_key:
-            yield f"{key}: has no effect at thermal.kT = 0"
     rule, annealed = file["aging.rule"], file["disorder"] == "annealed"
+    if cold and "thermal.attempt_frequency" in by_key:
+        yield "thermal.attempt_frequency: has no effect at thermal.kT = 0"
     for key in by_key:
         if key in ("drive.distance", "drive.stage.tolerance"):
             yield f"{key}: has no effect on a steady observable"
-    transient = measured & {"peak_ratio", "peak_X"}
-    widths = [
-        key for key in by_key if key.startswith("thresholds.") and key not in _SIZES
-    ]
-    if cold and widths and not transient and measured <= {"friction", "pinned"}:
-        others = [
-            key
-            for key in (*_SIZES, "fit.scale")
-            if key in by_key or (key == "fit.scale" and scaled)
-        ]
-        level = bool(others)
+    shapes = (key for key in by_key if key.startswith("thresholds."))
+    widths = [key for key in shapes if key not in _SIZES]
+    if cold and widths and measured <= {"friction", "pinned"}:
+        free_scale = {"fit.scale"} if scaled else set()
+        sizes = (*_SIZES, "fit.scale")
+        level = [key for key in sizes if key in by_key.keys() | free_scale]
+        absorbs = bool(level)
         if rule == "none":
-            level &= (
-                file["delay.time"] == 0 or len(others) == 2 or "delay.time" in by_key
-            )
-        elif annealed:
-            level &= "aging.rate" in by_key
+            timed = file["delay.time"] == 0 or "delay.time" in by_key
+            absorbs &= timed or len(level) == 2
         else:
-            level = False
-        if level:
-            absorbed = ", ".join(
-                [
-                    *others,
-                    *(key for key in ("delay.time", "aging.rate") if key in by_key),
-                ]
+            absorbs &= annealed and "aging.rate" in by_key
+        if absorbs:
+            level += [key for key in ("delay.time", "aging.rate") if key in by_key]
+            cure = (
+                f"absorbed in {', '.join(level)}; measure a temperature or peak_ratio"
             )
-            yield f"{widths[0]}: at thermal.kT = 0 it is absorbed in {absorbed}; measure a temperature or peak_ratio"
-    if (
-        annealed
-        and law in ("gamma", "delta")
-        and file["thermal.barrier"] == "soft"
-        and not measured & _UNSEEN
-    ):
+            yield f"{widths[0]}: at thermal.kT = 0 it is {cure}"
+    known = law in ("gamma", "delta") and file["thermal.barrier"] == "soft"
+    if annealed and known and not measured & _UNSEEN:
         yield from _regimes(file, by_key)
 
 
@@ -169,35 +155,30 @@ def _regimes(file: RunFile, by_key: dict[str, Parameter]) -> Iterator[str]:
     values = parameters(file)
 
     def range_of(key: str) -> tuple[float, float]:
-        one = by_key.get(key)
-        given = values[key] if values[key] is not None else 1.0
-        return (
-            (float(one.value(one.low)), float(one.value(one.high)))
-            if one
-            else (given, given)
-        )
+        if key in by_key:
+            one = by_key[key]
+            return float(one.value(one.low)), float(one.value(one.high))
+        given = 1.0 if values[key] is None else values[key]
+        return given, given
 
-    k, x, kT = (
-        range_of(key)
-        for key in ("contacts.stiffness", "thresholds.x_star", "thermal.kT")
-    )
+    k = range_of("contacts.stiffness")
+    x, kT = range_of("thresholds.x_star"), range_of("thermal.kT")
     moves = [key for key in ("thermal.kT", "contacts.stiffness") if key in by_key]
     if not moves or kT[0] <= 0:
         return
     least, greatest = k[0] * x[0] ** 2 / (2.0 * kT[1]), k[1] * x[1] ** 2 / (2.0 * kT[0])
     if greatest < _HOT:
-        yield f"{moves[0]}: b = k x_*^2/(2 kT) is below {_HOT} within the bounds, where it has no effect; lower kT"
+        said = f"is below {_HOT} within the bounds, where it has no effect; lower kT"
+        yield f"{moves[0]}: b = k x_*^2/(2 kT) {said}"
     if least > _COLD and "thermal.attempt_frequency" in by_key:
-        yield (
-            f"{moves[0]} and thermal.attempt_frequency: b = k x_*^2/(2 kT) is above {_COLD:g} within the bounds, where "
-            "only v_* ~ omega x_*/b has an effect; fix one of them"
-        )
+        said = f"is above {_COLD:g} within the bounds, where only v_* ~ omega x_*/b"
+        keys = f"{moves[0]} and thermal.attempt_frequency"
+        yield f"{keys}: b = k x_*^2/(2 kT) {said} has an effect; fix one of them"
 
 
 def check(reasons: list[str], allowed: bool) -> list[str]:
     """The reasons as warnings if that is `allowed`. Raises InputError otherwise."""
     if reasons and not allowed:
-        raise InputError(
-            f"fit.free: {reasons[0]} (--allow-degenerate fits all the same)"
-        )
+        how = "--allow-degenerate fits all the same"
+        raise InputError(f"fit.free: {reasons[0]} ({how})")
     return reasons

@@ -21,13 +21,11 @@ from typing import Any
 from eqsim.errors import InputError
 
 MOST_BYTES = 1_000_000_000  # of a file, which is read into memory
-_CELL = re.compile(
-    r'\s*(?:"((?:[^"]|"")*)"\s*|([^",\s][^,]*|))(?:,|\Z)'
-)  # in quotes, or as it stands
+# in quotes, or as it stands
+_CELL = re.compile(r'\s*(?:"((?:[^"]|"")*)"\s*|([^",\s][^,]*|))(?:,|\Z)')
 _LINE_END = re.compile(rb"\r\n|\r|\n")
-_LIKE_A_NUMBER = re.compile(
-    r"[+-]?(\.?\d|(nan|inf|infinity)\Z)", re.IGNORECASE
-)  # how numbers begin
+# how numbers begin
+_LIKE_A_NUMBER = re.compile(r"[+-]?(\.?\d|(nan|inf|infinity)\Z)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -61,14 +59,13 @@ class Sheet:
         return bool(_LIKE_A_NUMBER.match(self.columns[0]))
 
     def index(self, name: str, hint: str = "") -> int:
-        """Which column has a name. Raises InputError, to which a `hint` is added,
-        unless exactly one has."""
+        """Number of the column with a name. Raises InputError, to which a `hint` is
+        added, unless exactly one has."""
         count = self.columns.count(name)
         if count == 0:
-            there = ", ".join(self.columns)[:60]
-            raise InputError(
-                f'{self.field}: needs a column "{name}" in its first line; found {there}{hint}'
-            )
+            there = ", ".join(self.columns)[:60] + hint
+            needed = f'needs a column "{name}" in its first line'
+            raise InputError(f"{self.field}: {needed}; found {there}")
         if count > 1:
             raise InputError(f'{self.field}: has {count} columns "{name}"')
         return self.columns.index(name)
@@ -83,13 +80,11 @@ class Sheet:
             where = f"{self.field}, line {number}"
             cells = _cells(line, where)
             if any(cells[width:]):
-                raise InputError(
-                    f"{where}: more values than columns (a decimal comma?)"
-                )
+                said = "more values than columns (a decimal comma?)"
+                raise InputError(f"{where}: {said}")
             if len(cells) < width:
-                raise InputError(
-                    f"{where}: has {len(cells)} of {width} cells; an empty one takes its comma, too"
-                )
+                said = f"has {len(cells)} of {width} cells"
+                raise InputError(f"{where}: {said}; an empty one takes its comma, too")
             yield number, cells[:width]
 
 
@@ -132,9 +127,8 @@ def _content(path: Path, field: str) -> bytes:
     except InputError:
         raise
     except (OSError, ValueError) as error:  # of a name that no file can have
-        raise InputError(
-            f"{field}: cannot be read ({getattr(error, 'strerror', None) or error})"
-        ) from None
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{field}: cannot be read ({why})") from None
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
@@ -156,9 +150,8 @@ def _cells(line: str, where: str) -> list[str]:
         match = _CELL.match(line, place)
         if match is None:
             shown = line[place:].strip()[:40]
-            raise InputError(
-                f"{where}: {shown!r} is no cell; a quote must be closed before the next comma or line end"
-            )
+            said = "a quote must be closed before the next comma or line end"
+            raise InputError(f"{where}: {shown!r} is no cell; {said}")
         quoted, plain = match.groups()
         cells.append(plain.rstrip() if quoted is None else quoted.replace('""', '"'))
         place, more = match.end(), match[0].endswith(",")
@@ -168,9 +161,8 @@ def _cells(line: str, where: str) -> list[str]:
 def value_of(cell: str) -> float:
     """The number in a cell; NaN if it holds none."""
     try:
-        return float(
-            cell if "_" not in cell else "nan"
-        )  # Python's 1_000 is not a number elsewhere
+        # Python's 1_000 is not a number elsewhere
+        return float(cell if "_" not in cell else "nan")
     except ValueError:
         return math.nan
 
@@ -203,9 +195,8 @@ def _name(name: str) -> str:
 
 def _quoted(text: str) -> str:
     if "\n" in text or "\r" in text:
-        raise InputError(
-            f"{text[:40]!r} has a line break, which no cell of a CSV file can hold"
-        )
+        said = "has a line break, which no cell of a CSV file can hold"
+        raise InputError(f"{text[:40]!r} {said}")
     return '"' + text.replace('"', '""') + '"'
 
 

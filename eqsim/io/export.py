@@ -18,14 +18,10 @@ RENAMED_COLUMNS = {
     f"force{end}": f"friction_force{end}" for end in ("", "_stderr", "_reference")
 }
 _UNKNOWN = Units()
-_RATE = (
-    "breaks per contact and displacement, along a programme per contact and time",
-    "",
-)  # of an exact curve
-_SETTINGS = {
-    "sweep": "sweep",
-    "fluctuations": "run",
-}  # commands whose settings hold more than the run file
+# of an exact curve
+_RATE = "breaks per contact and displacement, along a programme per contact and time"
+# commands whose settings hold more than the run file
+_SETTINGS = {"sweep": "sweep", "fluctuations": "run"}
 
 
 def meaning(
@@ -35,11 +31,9 @@ def meaning(
     says it all."""
     if command == "sweep":
         column = RENAMED_COLUMNS.get(column, column)
-    words, unit = (
-        _RATE
-        if (command, column) == ("reference", "breaks")
-        else labels.column(column, units, fractions)
-    )
+    words, unit = labels.column(column, units, fractions)
+    if (command, column) == ("reference", "breaks"):
+        words = _RATE
     return f"{words} ({unit})".strip() if unit else words
 
 
@@ -48,9 +42,8 @@ def tables(path: Path) -> dict[str, list[Path]]:
     table, finished or not) or of another folder of results, by the name of the table.
     Raises InputError."""
     if path.is_file():
-        return (
-            {path.stem: [path]} if (sweep := sweep_of(path)) is None else tables(sweep)
-        )
+        sweep = sweep_of(path)
+        return {path.stem: [path]} if sweep is None else tables(sweep)
     if not path.is_dir():
         raise InputError(f"{path}: is neither a file nor a folder")
     rows = sweep_files(path)
@@ -68,12 +61,11 @@ def sweep_of(path: Path) -> Path | None:
     """The folder of the sweep that a Parquet file belongs to; None if it belongs to
     none."""
     folder = path.absolute().parent
-    if (
-        folder.name in (SWEEP_PARTS, SWEEP_HIDDEN)
-        and (folder.parent / SWEEP_MANIFEST).exists()
-    ):
-        return folder.parent
-    return folder if (folder / SWEEP_MANIFEST).exists() else None
+    inside = folder.name in (SWEEP_PARTS, SWEEP_HIDDEN)
+    for sweep in (folder.parent, folder) if inside else (folder,):
+        if (sweep / SWEEP_MANIFEST).exists():
+            return sweep
+    return None
 
 
 def as_csv(paths: list[Path]) -> bytes:
@@ -82,32 +74,26 @@ def as_csv(paths: list[Path]) -> bytes:
     from pyarrow import parquet as pq
 
     try:
-        table = pyarrow.concat_tables(
-            [pq.read_table(pyarrow.BufferReader(path.read_bytes())) for path in paths]
-        )
+        contents = (pyarrow.BufferReader(path.read_bytes()) for path in paths)
+        table = pyarrow.concat_tables([*map(pq.read_table, contents)])
         origin = json.loads((table.schema.metadata or {}).get(b"eqsim", b"{}"))
     except OSError as error:
-        raise InputError(
-            f"{paths[0]}: cannot be read ({error.strerror or error})"
-        ) from None
+        why = error.strerror or error
+        raise InputError(f"{paths[0]}: cannot be read ({why})") from None
     except (pyarrow.ArrowException, ValueError, RecursionError):
         raise InputError(f"{paths[0]}: is not a Parquet file, or is damaged") from None
     origin = origin if isinstance(origin, dict) else {}
     command, settings = str(origin.get("command", "")), _settings(origin)
-    units, fractions = (
-        _units(settings),
-        settings.get("newborn", {}).get("of") == "threshold",
-    )
+    fractions = settings.get("newborn", {}).get("of") == "threshold"
+    units = _units(settings)
     lines = [*_origin(origin, units), *_unfinished(paths, table.num_rows)]
-    told = (
-        (name, meaning(name, units, command, fractions)) for name in table.column_names
-    )
-    lines += [f"{' '.join(name.split())}: {text}" for name, text in told if text]
+    for name in table.column_names:
+        text = meaning(name, units, command, fractions)
+        lines += [f"{' '.join(name.split())}: {text}"] * bool(text)
     rows = zip(*(column.to_pylist() for column in table.columns), strict=True)
+    lines = [f"# {line}".rstrip() for line in lines]
     try:
-        lines = [f"# {line}".rstrip() for line in lines] + [
-            *csv.written(table.column_names, rows)
-        ]
+        lines += csv.written(table.column_names, rows)
     except InputError as error:
         raise InputError(f"{paths[0]}: {error}") from None
     return "".join(f"{line}\n" for line in lines).encode()
@@ -133,9 +119,8 @@ def _unfinished(paths: list[Path], rows: int) -> list[str]:
     """Remarks on a sweep whose rows are not all there."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         if paths[0].parent.name in (SWEEP_PARTS, SWEEP_HIDDEN):
-            planned = json.loads(
-                (paths[0].parent.parent / SWEEP_MANIFEST).read_bytes()
-            )["points"]
+            manifest = (paths[0].parent.parent / SWEEP_MANIFEST).read_bytes()
+            planned = json.loads(manifest)["points"]
             return [f"{rows} of {planned} points: the sweep is not finished"]
     return []
 
@@ -146,13 +131,9 @@ def _origin(origin: dict[str, Any], units: Units) -> list[str]:
         return []
     versions, run_file = origin.get("versions") or {}, str(origin.get("run_file") or "")
     given = ", ".join(f"{name} {unit}" for name, unit in asdict(units).items() if unit)
-    lines = [
-        f"eqsim {versions.get('eqsim', '')}: {origin['command']}, seed {origin.get('seed')}"
-    ]
+    command = f"{origin['command']}, seed {origin.get('seed')}"
+    lines = [f"eqsim {versions.get('eqsim', '')}: {command}"]
     if given or run_file:
-        lines.append(
-            f"units: {given}"
-            if given
-            else "units: lengths, times and energies are in those of the run file"
-        )
+        free = "lengths, times and energies are in those of the run file"
+        lines.append(f"units: {given or free}")
     return lines + [f"| {line}" for line in run_file.splitlines()]

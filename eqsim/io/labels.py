@@ -1,4 +1,4 @@
-"""What pictures and tables call things: keys, observables, ensembles, in the units of a
+"""Labels of pictures and tables for keys, observables and ensembles, in the units of a
 run file."""
 
 import math
@@ -11,7 +11,7 @@ from eqsim.estimate import OBSERVABLES
 from eqsim.io.units import Units
 from eqsim.model.ensemble import Ensemble
 
-FORCE = "friction  $F / (N k)$"
+FORCE = catalogue.COLUMNS["force"].mathtext
 _FREE = "unit of the run file"
 # What a suffix of a column adds to its name, and whether it has the unit of the column;
 # the longer of two first.
@@ -47,9 +47,8 @@ def column(name: str, units: Units, fractions: bool = False) -> tuple[str, str]:
     """
     for suffix, (text, same) in _SUFFIXES.items():
         if name.endswith(suffix):
-            return text, column(name.removesuffix(suffix), units, fractions)[
-                1
-            ] if same else ""
+            _, unit = column(name.removesuffix(suffix), units, fractions)
+            return text, unit if same else ""
     entry = catalogue.entry(name)
     if entry is None:
         return "", ""
@@ -69,7 +68,7 @@ def _is_key(name: str) -> bool:
 
 
 def _is_fraction(name: str, fractions: bool) -> bool:
-    """Whether a key is a stretch of newborn contacts over their threshold."""
+    """True for a key that is a stretch of newborn contacts over their threshold."""
     return (
         fractions
         and name.startswith("newborn.")
@@ -91,9 +90,7 @@ def unit_text(units: Units, of: Dimension, unknown: bool = True) -> str:
 def _tex(label: str) -> str:
     """A label of a unit in mathtext."""
     text = re.sub(r"(?<![A-Za-z])u(?=[msN](?![A-Za-z]))", "µ", label)
-    if text == "x_*" or re.fullmatch(
-        r"[A-Za-z]+_[*A-Za-z0-9]( [A-Za-z]+_[*A-Za-z0-9])*", text
-    ):
+    if re.fullmatch(r"[A-Za-z]+_[*A-Za-z0-9]( [A-Za-z]+_[*A-Za-z0-9])*", text):
         return f"${text}$".replace(" ", r"\,")
     text = text.replace("$", r"\$")
     text = re.sub(r"\^(\d+)", r"$^{\1}$", text)
@@ -123,10 +120,8 @@ def axis(
     if _is_fraction(name, fractions):
         return f"{entry.words} over threshold"
     unit = entry.fixed_unit or (stress if entry.dimension == STRESS else "")
-    return with_unit(
-        f"{entry.words}  {entry.symbol}".strip(),
-        unit or unit_text(units, entry.dimension, unknown),
-    )
+    unit = unit or unit_text(units, entry.dimension, unknown)
+    return with_unit(entry.mathtext, unit)
 
 
 def of_trajectory(x: str, units: Units) -> dict[str, str]:
@@ -151,15 +146,11 @@ def described(contacts: Ensemble, units: Units, tex: bool = False) -> str:
     """An ensemble in some words: how many contacts of which disorder and stiffness,
     temperature and aging."""
     count = f"{contacts.count:,}".replace(",", " ")
-    law = (
-        (r"$k_i \propto \sqrt{f_{si}}$" if tex else "k_i ~ sqrt(f_si)")
-        if contacts.stiffness_law == "sqrt"
-        else ""
-    )
-    parts = [
-        f"{count} {contacts.disorder} contact{'s' * (contacts.count != 1)}",
-        law or "uniform stiffness",
-    ]
+    springs = r"$k_i \propto \sqrt{f_{si}}$" if tex else "k_i ~ sqrt(f_si)"
+    if contacts.stiffness_law == "uniform":
+        springs = "uniform stiffness"
+    parts = [f"{count} {contacts.disorder} contact{'s' * (contacts.count != 1)}"]
+    parts.append(springs)
     kT, energy = contacts.thermal.kT, contacts.stiffness * contacts.thresholds.scale**2
     kelvin = units.kelvin(kT)
     if not kT:

@@ -5,6 +5,7 @@ dataclasses, which refuse values out of range, and keys that do not go together 
 refused.
 """
 
+import copy
 import functools
 import math
 import tomllib
@@ -82,7 +83,8 @@ class RunFile(Listed):
     )
 
     def __getitem__(self, key: str) -> Any:
-        """The value of a "section.key" with its default filled in, None if it has none."""
+        """The value of a "section.key" with its default filled in, None if it
+        has none."""
         return functools.reduce(_part, key.split("."), self.settings)
 
     @property
@@ -124,12 +126,12 @@ class RunFile(Listed):
 
     @cached_property
     def interface(self) -> Interface:
-        """What the contacts stand for. Raises InputError."""
+        """The interface that the contacts stand for. Raises InputError."""
         return self._section(Interface, "interface")
 
     @cached_property
     def output(self) -> Output:
-        """How a run is recorded. Raises InputError."""
+        """The recording of a run. Raises InputError."""
         output = self._section(Output, "output")
         for name in ("series", "breaks"):
             if getattr(output, name) and self["elastic"]:
@@ -143,7 +145,7 @@ class RunFile(Listed):
 
     @property
     def constant(self) -> bool:
-        """Whether it moves at a constant velocity, without a programme, file or stage."""
+        """True for a drive without programme, file and stage."""
         drive = self.settings["drive"]
         return all(drive[name] is None for name in ("programme", "file", "stage"))
 
@@ -186,9 +188,8 @@ class RunFile(Listed):
         allowed = tabled if law == "table" else threshold_parameters(law)
         for key, value in given.items():
             if key not in allowed:
-                raise InputError(
-                    f'thresholds.{key} = {shown(value)}: not allowed with law = "{law}"'
-                )
+                said = f'not allowed with law = "{law}"'
+                raise InputError(f"thresholds.{key} = {shown(value)}: {said}")
         if law != "table":
             with under("thresholds"):
                 return law_of(law, given)
@@ -210,7 +211,7 @@ class RunFile(Listed):
 
     @cached_property
     def drive(self) -> Drive | Programme:
-        """How the slider moves. Raises InputError."""
+        """The drive of the slider. Raises InputError."""
         given = self.settings["drive"]
         if not self.constant:
             return self._programme()
@@ -222,16 +223,16 @@ class RunFile(Listed):
 
     @property
     def constant_drive(self) -> Drive:
-        """The drive, where only a constant velocity has an answer. Raises InputError."""
+        """The drive, where only a constant velocity has an answer. Raises
+        InputError."""
         return require_drive(self.drive)
 
     def _programme(self) -> Programme:
         given = self.settings["drive"]
         programme, file, stage = map(given.get, ("programme", "file", "stage"))
         if self["elastic"] is not None:
-            name = next(
-                n for n in ("programme", "file", "stage") if given[n] is not None
-            )
+            named = {"programme": programme, "file": file, "stage": stage}
+            name = next(name for name, value in named.items() if value is not None)
             said = "not allowed with [elastic], whose plate moves at drive.velocity"
             raise InputError(f"drive.{name}: {said}")
         if programme is not None and file is not None:
@@ -257,9 +258,8 @@ class RunFile(Listed):
             for index, section in enumerate(programme or []):
                 with under(f"programme.{index}"):
                     segments.append(_segment(**section))
-            return Programme(
-                tuple(segments), given["start"], given["velocity"], pulled_by
-            )
+            start, velocity = given["start"], given["velocity"]
+            return Programme(tuple(segments), start, velocity, pulled_by)
 
     def with_changes(self, changes: dict[str, Any]) -> "RunFile":
         """The run file of one point, without [sweep] and [fit].
@@ -291,8 +291,8 @@ class RunFile(Listed):
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """What friction is as a force, a shear stress and a coefficient, as far as that
-        is known."""
+        """Friction as a force, a shear stress and a coefficient, as far as that is
+        known."""
         return self.quantities_in()
 
     def quantities_in(
@@ -320,8 +320,8 @@ class RunFile(Listed):
         return of_trajectory(x, self.units)
 
     def preferred(self, friction: Estimate) -> Quantity | None:
-        """The one of `quantities` that says most, a coefficient before a stress before a
-        force, in a unit fit for `friction`; None if none is known."""
+        """The coefficient, or else the stress or the force, in a unit fit for
+        `friction`; None if none is known."""
         found = self.quantities
         return found[-1].near(friction.value or 0.0) if found else None
 
@@ -343,38 +343,35 @@ def _require_law(key: str, given: dict[str, Any], laws: tuple[str, ...]) -> None
 def _segment(velocity: Any, hold: float | None, **more: Any) -> Segment:
     """A segment of a run file. Raises InputError."""
     if (velocity is None) == (hold is None):
-        raise InputError(
-            "velocity: a segment has either a velocity or a hold, the time for which nothing moves"
-        )
+        said = "either a velocity or a hold, the time for which nothing moves"
+        raise InputError(f"velocity: a segment has {said}")
     if hold is None:
         return Segment(velocity, **more)
     for name in ("distance", "time"):
         if more[name] is not None:
-            raise InputError(
-                f"{name} = {shown(more[name])}: not allowed with hold, which is a time"
-            )
+            said = "not allowed with hold, which is a time"
+            raise InputError(f"{name} = {shown(more[name])}: {said}")
     require_number("hold", hold, **POSITIVE)
     return Segment(0.0, **{**more, "time": hold})
 
 
 def _two_temperatures(temperature: float) -> str:
-    return f"thermal.temperature = {shown(temperature)}: not allowed with kT; give one of them"
+    given = f"thermal.temperature = {shown(temperature)}"
+    return f"{given}: not allowed with kT; give one of them"
 
 
 def _without_alternatives(data: dict[str, Any], changes: dict[str, Any]) -> None:
-    """Of two keys that say the same, a change of one replaces the other in the content
-    of a run file."""
+    """Remove from the content of a run file each key that says the same as one of the
+    `changes`."""
     for key in _ALTERNATIVES.keys() & changes.keys():
         section, name = _ALTERNATIVES[key].split(".")
         if _ALTERNATIVES[key] not in changes and isinstance(data.get(section), dict):
             data[section].pop(name, None)
 
 
-def copied(data: Any, without: tuple[str, ...] = ()) -> Any:
+def copied(data: dict[str, Any], without: tuple[str, ...] = ()) -> Any:
     """A copy of the content of a run file `without` some of its keys."""
-    if isinstance(data, dict):
-        return {key: copied(part) for key, part in data.items() if key not in without}
-    return [copied(part) for part in data] if isinstance(data, list) else data
+    return copy.deepcopy({k: part for k, part in data.items() if k not in without})
 
 
 def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
@@ -419,17 +416,13 @@ def _changed(
     for key, value in changes.items():
         axes, axis = data.get("sweep", {}), key.removeprefix("sweep.")
         first = axis.split(".")[0]
-        nested = (
-            not isinstance(axes, dict)
-            or isinstance(axes.get(first), dict)
-            or first in ("zip", "file")
-        )
+        nested = not isinstance(axes, dict) or isinstance(axes.get(first), dict)
+        nested = nested or first in ("zip", "file")
         in_quotes = axis != key and not nested  # the key of an axis
         _put(data, ["sweep", axis] if in_quotes else key.split("."), key, value)
     heat = data.get("thermal")
-    if (
-        isinstance(heat, dict) and {"kT", "temperature"} <= heat.keys()
-    ):  # even if kT is 0
+    # even if kT is 0
+    if isinstance(heat, dict) and {"kT", "temperature"} <= heat.keys():
         raise InputError(_two_temperatures(heat["temperature"]))
     text += "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
     return replace(check(data, folder), text=text)
@@ -454,7 +447,8 @@ def _put(data: dict[str, Any], path: list[str], key: str, value: Any) -> None:
 
 
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
-    """The text and the content of a TOML file, which may be a pipe. Raises InputError."""
+    """The text and the content of a TOML file, which may be a pipe. Raises
+    InputError."""
     try:
         with path.open(encoding="utf-8-sig") as file:
             text = file.read(_LONGEST + 1)
@@ -554,8 +548,8 @@ def stored(settings: dict[str, Any], folder: Path | str = "") -> RunFile:
 
 
 def check(data: dict[str, Any], folder: Path = Path()) -> RunFile:
-    """A run file from its content; paths in it start in `folder`. Raises InputError with
-    one line that names the field."""
+    """A run file from its content; paths in it start in `folder`. Raises InputError
+    with one line that names the field."""
     content = schema.validated(data)
     given = content.model_dump(exclude_unset=True, exclude_none=True)
     given |= {name: data[name] for name in ("sweep", "fit") if data.get(name)}
@@ -573,9 +567,8 @@ def _heat(file: RunFile) -> None:
         return
     with under("thermal"):
         kT = file.units.energy(thermal["temperature"])
-    if thermal["kT"] and not math.isclose(
-        thermal["kT"], kT, rel_tol=1e-12, abs_tol=0.0
-    ):
+    same = math.isclose(thermal["kT"], kT, rel_tol=1e-12, abs_tol=0.0)
+    if thermal["kT"] and not same:
         raise InputError(_two_temperatures(thermal["temperature"]))
     thermal["kT"] = kT
     file.given["thermal"].pop("kT", None)

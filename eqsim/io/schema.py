@@ -1,4 +1,4 @@
-"""What a run file may hold: its keys with their types and defaults, and what is said of
+"""The keys that a run file may hold, with their types and defaults, and messages about
 others.
 
 The keys of each section stand in `eqsim.catalogue`. A key is the field of that name of
@@ -180,7 +180,7 @@ def _explain(error: pydantic.ValidationError) -> str:
 
 
 def _nearest(location: list[str]) -> str:
-    """Which key may have been meant, here or in another section."""
+    """A hint which key may have been meant, here or in another section."""
     *sections, last = (part for part in location if not part.isdecimal())
     section = ".".join(sections)
     below = (name.rpartition(".") for name in catalogue.SECTIONS if name)

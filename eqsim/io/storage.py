@@ -12,6 +12,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from eqsim.errors import InputError
 from eqsim.io.signals import undone
 
@@ -51,16 +53,12 @@ def provenance(
     seed: int,
     folder: Path | None = None,
 ) -> dict[str, Any]:
-    """What it takes to repeat a call (`eqsim.workflows.replay`): the command, the run
-    file as it stood and the folder its paths are relative to, every setting in force
-    (an infinite one as "Infinity"), versions."""
-    known = {
-        "command": command,
-        "run_file": run_file,
-        "settings": json.loads(json.dumps(settings), parse_constant=str),
-        "seed": seed,
-        "versions": versions(),
-    }
+    """Describe a call so that it can be repeated (`eqsim.workflows.replay`): the
+    command, the run file as it stood and the folder its paths are relative to, every
+    setting in force (an infinite one as "Infinity"), versions."""
+    plain = json.loads(json.dumps(settings), parse_constant=str)
+    known = {"command": command, "run_file": run_file, "settings": plain, "seed": seed}
+    known["versions"] = versions()
     return known if folder is None else {**known, "folder": str(folder.absolute())}
 
 
@@ -83,7 +81,6 @@ def to_json(data: Any) -> str:
 def parquet(columns: Any, origin: dict[str, Any]) -> bytes:
     """A Parquet file of a DataFrame or of arrays by name, with `origin` as JSON under
     the metadata key `eqsim`."""
-    import numpy as np
     import pyarrow
 
     def whole(column: Any) -> Any:
@@ -92,16 +89,14 @@ def parquet(columns: Any, origin: dict[str, Any]) -> bytes:
         if not isinstance(column, np.ndarray) or column.dtype.kind not in "if":
             return column
         memory = pyarrow.py_buffer(np.ascontiguousarray(column))
-        return pyarrow.Array.from_buffers(
-            pyarrow.from_numpy_dtype(column.dtype), column.size, [None, memory]
-        )
+        kind = pyarrow.from_numpy_dtype(column.dtype)
+        return pyarrow.Array.from_buffers(kind, column.size, [None, memory])
 
     if isinstance(columns, dict):
         columns = {name: whole(column) for name, column in columns.items()}
-    return as_parquet(
-        pyarrow.table(columns).replace_schema_metadata({"eqsim": to_json(origin)}),
-        checksums=False,
-    )
+    metadata = {"eqsim": to_json(origin)}
+    table = pyarrow.table(columns).replace_schema_metadata(metadata)
+    return as_parquet(table, checksums=False)
 
 
 def as_parquet(table: Any, checksums: bool = True) -> bytes:
@@ -119,9 +114,8 @@ def from_parquet(content: bytes) -> Any:
     from pyarrow import parquet as pq
 
     try:
-        return pq.read_table(
-            pyarrow.BufferReader(content), page_checksum_verification=True
-        )
+        reader = pyarrow.BufferReader(content)
+        return pq.read_table(reader, page_checksum_verification=True)
     except (OSError, ValueError, MemoryError):  # pyarrow's own errors are among these
         return None
 
@@ -136,9 +130,8 @@ def check_folder(folder: Path) -> None:
     try:
         tempfile.TemporaryFile(dir=present).close()
     except OSError as error:
-        raise InputError(
-            f"--out {folder}: cannot be written ({error.strerror})"
-        ) from None
+        why = error.strerror
+        raise InputError(f"--out {folder}: cannot be written ({why})") from None
 
 
 def save(path: Path, content: bytes) -> None:

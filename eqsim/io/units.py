@@ -1,4 +1,5 @@
-"""Units, and what friction is in a laboratory: a force, a shear stress, a coefficient."""
+"""Units, and what friction is in a laboratory: a force, a shear stress, a
+coefficient."""
 
 import math
 from collections.abc import Iterable
@@ -7,16 +8,7 @@ from typing import NamedTuple
 
 from scipy import constants
 
-from eqsim.catalogue import (
-    AREA,
-    ENERGY,
-    FORCE,
-    LENGTH,
-    PER_AREA,
-    STIFFNESS,
-    STRESS,
-    Dimension,
-)
+from eqsim.catalogue import ENERGY, FORCE, STRESS, Dimension, dimension, product
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, shown
 from eqsim.estimate import OBSERVABLES, Averages, Estimate
 from eqsim.model.ensemble import Ensemble
@@ -32,8 +24,6 @@ _OTHERS = {
     "force": dict[str, float](),
 }
 _LONGEST = 20  # characters of a label
-
-
 _NAMED = {(ENERGY, "N m"): "J", (STRESS, "N/m^2"): "Pa"}
 
 
@@ -65,77 +55,48 @@ class Units:
     natural: tuple[str, ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name, label in self._given():
-            if (
-                not label.isprintable()
-                or len(label) > _LONGEST
-                or label != label.strip()
-            ):
-                said = f"must be a unit, such as {self._examples(name)}, or a label of up to {_LONGEST} characters"
+        for name in _BASES:
+            label = getattr(self, name)
+            fits = len(label) <= _LONGEST and label == label.strip()
+            if not label.isprintable() or not fits:
+                said = f"must be a unit, such as {self._examples(name)}"
+                said += f", or a label of up to {_LONGEST} characters"
                 raise InputError(f"{name} = {shown(label)}: {said}")
 
     def __bool__(self) -> bool:
-        return any(label for _, label in self._given())
-
-    def _given(self) -> list[tuple[str, str]]:
-        return [(name, getattr(self, name)) for name in _BASES]
-
-    def _parts(self, of: Dimension) -> list[tuple[str, str, int]]:
-        """Name, label and power of each unit that has a part in a dimension, those in
-        the numerator and force first."""
-        order = ("force", "length", "time")
-        powers = [(name, getattr(self, name), getattr(of, name)) for name in order]
-        return sorted(
-            (part for part in powers if part[2]), key=lambda part: part[2] < 0
-        )
+        return any(getattr(self, name) for name in _BASES)
 
     def size(self, of: Dimension) -> float | None:
         """The unit of a dimension in SI units; None if a part of it is not given or no
         SI unit."""
+        powers = {name: getattr(of, name) for name in ("force", "length", "time")}
         size = 1.0
-        for name, label, power in self._parts(of):
-            one = _size(name, label)
-            if one is None:
+        for name in sorted(powers, key=lambda name: powers[name] < 0):
+            one = _size(name, getattr(self, name))
+            if powers[name] and one is None:
                 return None
-            size *= one**power
+            size *= (one or 1.0) ** powers[name]
         return size
 
     def label(self, of: Dimension) -> str:
         """The unit of a dimension, such as "um/s", "nN nm" or "Pa"; "" of a number, or
         if a part of it is not given."""
-        parts = self._parts(of)
-        if not all(label for _, label, _ in parts):
+        labels = (self.force, of.force), (self.length, of.length), (self.time, of.time)
+        factors = [(label, power) for label, power in labels if power]
+        if not all(label for label, _ in factors):
             return ""
-        texts = [
-            label + (f"^{abs(power)}" if abs(power) > 1 else "")
-            for _, label, power in parts
-        ]
-        above = " ".join(
-            text for text, part in zip(texts, parts, strict=True) if part[2] > 0
-        )
-        below = "".join(
-            f"/{text}" for text, part in zip(texts, parts, strict=True) if part[2] < 0
-        )
-        whole = (above or "1" * bool(below)) + below
+        whole = product(factors)
         return _NAMED.get((of, whole), whole)
 
     def natural_label(self, of: Dimension) -> str:
         """The unit of a dimension as a product of the `natural` ones, in mathtext; ""
         where that is not known, and where units are given."""
         powers = {"k": of.force, "x_*": of.length + of.force, "omega": -of.time}
-        powers = {name: power for name, power in powers.items() if power}
-        if self or not powers.keys() <= set(self.natural):
+        factors = {name: power for name, power in powers.items() if power}
+        if self or not factors.keys() <= set(self.natural):
             return ""
-        parts = [
-            (
-                name.replace("omega", r"\omega") + f"^{abs(power)}" * (abs(power) > 1),
-                power,
-            )
-            for name, power in powers.items()
-        ]
-        above = r"\,".join(text for text, power in parts if power > 0) or "1"
-        below = "".join(f" / {text}" for text, power in parts if power < 0)
-        return f"${above}{below}$"
+        whole = product([*factors.items()], r"\,", " / ")
+        return f"${whole}$".replace("omega", r"\omega")
 
     def energy(self, temperature: float) -> float:
         """k_B T in the unit of energy, length times force, of a `temperature` in
@@ -144,19 +105,18 @@ class Units:
         for name in ("length", "force"):
             label = getattr(self, name)
             if _size(name, label) is None:
-                here = (
-                    f"units.{name} = {shown(label)} is none"
-                    if label
-                    else f"units.{name} is not given"
-                )
+                given = f"units.{name} = {shown(label)} is none"
+                here = given if label else f"units.{name} is not given"
+                said = f"kT takes SI units of length and force, and {here}"
+                example = f"must be such as {self._examples(name)}"
                 raise InputError(
-                    f"temperature = {shown(temperature)}: kT takes SI units of length and force, and {here}; "
-                    f"must be such as {self._examples(name)}"
+                    f"temperature = {shown(temperature)}: {said}; {example}"
                 )
         return constants.k * temperature / (self.size(ENERGY) or 1.0)
 
     def kelvin(self, kT: float) -> float | None:
-        """The temperature of a `kT` in the unit of energy; None if that is not known."""
+        """The temperature of a `kT` in the unit of energy; None if that is not
+        known."""
         size = self.size(ENERGY)
         return None if size is None else kT * size / constants.k
 
@@ -170,11 +130,8 @@ def _size(name: str, label: str) -> float | None:
     if label in _OTHERS[name]:
         return _OTHERS[name][label]
     prefix = label.removesuffix(_BASES[name])
-    return (
-        float(f"1e{_PREFIXES[prefix]}")
-        if prefix != label and prefix in _PREFIXES
-        else None
-    )
+    known = prefix != label and prefix in _PREFIXES
+    return float(f"1e{_PREFIXES[prefix]}") if known else None
 
 
 @dataclass(frozen=True)
@@ -215,30 +172,21 @@ class Interface:
         for name, value in asdict(self).items():
             if value is not None:
                 require_number(name, value, **POSITIVE)
+        given = f"normal_stress = {shown(self.normal_stress)}"
         if self.normal_stress is not None and self.normal_load is not None:
-            raise InputError(
-                f"normal_stress = {shown(self.normal_stress)}: not allowed with normal_load; give one"
-            )
-        if (
-            self.normal_stress is not None
-            and self.area is None
-            and self.contacts_per_area is None
-        ):
-            said = (
-                "needs area or contacts_per_area, which say how many contacts carry it"
-            )
-            raise InputError(f"normal_stress = {shown(self.normal_stress)}: {said}")
+            raise InputError(f"{given}: not allowed with normal_load; give one")
+        if self.normal_stress is not None and self.density(1) is None:
+            said = "which say how many contacts carry it"
+            raise InputError(f"{given}: needs area or contacts_per_area, {said}")
 
     def __bool__(self) -> bool:
         return any(value is not None for value in asdict(self).values())
 
     def contacts(self, count: int) -> float:
-        """How many contacts it has, if `count` are simulated."""
-        return (
-            count
-            if self.area is None or self.contacts_per_area is None
-            else self.area * self.contacts_per_area
-        )
+        """Number of its contacts, if `count` are simulated."""
+        if self.area is None or self.contacts_per_area is None:
+            return count
+        return self.area * self.contacts_per_area
 
     def density(self, count: int) -> float | None:
         """Contacts per area; None if neither that nor the area is given."""
@@ -248,7 +196,7 @@ class Interface:
 
 
 class Quantity(NamedTuple):
-    """What friction F/(N k) is in a laboratory.
+    """A laboratory's measure of friction F/(N k).
 
     Attributes
     ----------
@@ -288,8 +236,8 @@ class Quantity(NamedTuple):
         )
 
     def near(self, friction: float) -> "Quantity":
-        """The same in kPa, MPa or GPa, or mPa, where `friction` is some thousands of
-        Pa, or thousandths."""
+        """This quantity in kPa, MPa or GPa, or mPa, where `friction` is some thousands
+        of Pa, or thousandths."""
         value = abs(friction * self.factor)
         if self.unit != "Pa" or not value or not math.isfinite(value):
             return self
@@ -303,18 +251,14 @@ class Quantity(NamedTuple):
         """For JSON; `reference` is that of friction, if there is one."""
         found = self.of(friction)
         exact = {} if reference is None else {"reference": reference * self.factor}
-        return {
-            "value": found.value,
-            "stderr": found.stderr,
-            **exact,
-            "unit": self.unit,
-        }
+        known = {"value": found.value, "stderr": found.stderr}
+        return {**known, **exact, "unit": self.unit}
 
 
 def quantities(
     ensemble: Ensemble, units: Units, interface: Interface
 ) -> tuple[Quantity, ...]:
-    """What the friction F/(N k) of an ensemble is at an interface.
+    """Give the friction F/(N k) of an ensemble in the quantities of a laboratory.
 
     The force is that of all contacts of the interface and is known if anything of the
     interface is given, or a unit of force; the shear stress if an area or contacts per
@@ -329,16 +273,13 @@ def quantities(
         size = units.size(STRESS)
         unit = units.label(STRESS) if size is None else "Pa"
         found.append(Quantity("shear_stress", "tau", density * k * (size or 1.0), unit))
+    ratio = None
     if interface.normal_load is not None:
-        found.append(
-            Quantity("friction_coefficient", "mu", force / interface.normal_load, "")
-        )
+        ratio = force / interface.normal_load
     elif interface.normal_stress is not None and density is not None:
-        found.append(
-            Quantity(
-                "friction_coefficient", "mu", density * k / interface.normal_stress, ""
-            )
-        )
+        ratio = density * k / interface.normal_stress
+    if ratio is not None:
+        found.append(Quantity("friction_coefficient", "mu", ratio, ""))
     return tuple(found)
 
 
@@ -348,48 +289,33 @@ def scales(ensemble: Ensemble, units: Units, interface: Interface) -> list[Group
     if not units and not interface:
         return []
     unit, kelvin = ensemble.thresholds.scale, units.kelvin(ensemble.thermal.kT)
-    found = [
-        Group(
-            f"x_* ({units.label(LENGTH) or 'length'})",
-            unit,
-            "scale of thresholds, a length",
-        ),
-        Group(
-            f"k ({units.label(STIFFNESS) or 'force/length'})",
-            ensemble.stiffness,
-            "stiffness of a contact",
-        ),
-    ]
+    contacts = interface.contacts(ensemble.count)
+    density = interface.density(ensemble.count)
+
+    def group(name: str, of: str, value: float, meaning: str) -> Group:
+        return Group(f"{name} ({units.label(dimension(of)) or of})", value, meaning)
+
+    found = [group("x_*", "length", unit, "scale of thresholds, a length")]
+    stiffness = ensemble.stiffness
+    found.append(group("k", "force/length", stiffness, "stiffness of a contact"))
     if kelvin is not None:
-        found.append(
-            Group("T (K)", kelvin, "temperature, kT over the constant of Boltzmann")
-        )
-    contacts, density = (
-        interface.contacts(ensemble.count),
-        interface.density(ensemble.count),
-    )
+        said = "temperature, kT over the constant of Boltzmann"
+        found.append(Group("T (K)", kelvin, said))
     if interface:
         found.append(Group("contacts", contacts, "of the interface"))
     if density is not None:
-        area, per = (
-            units.label(AREA) or "length^2",
-            units.label(PER_AREA) or "1/length^2",
-        )
-        found.append(
-            Group(f"area ({area})", contacts / density, "of the interface, apparent")
-        )
-        found.append(Group(f"contacts per area ({per})", density, "of the interface"))
+        area, where = contacts / density, "of the interface"
+        found.append(group("area", "length^2", area, f"{where}, apparent"))
+        found.append(group("contacts per area", "1/length^2", density, where))
     for one in quantities(ensemble, units, interface):
         one = one.near(unit)
-        mark = f" ({one.unit})" * bool(one.unit)
-        found.append(
-            Group(one.label + mark, one.factor * unit, "if friction F/(N k) were x_*")
-        )
+        name, size = one.label + f" ({one.unit})" * bool(one.unit), one.factor * unit
+        found.append(Group(name, size, "if friction F/(N k) were x_*"))
     return found
 
 
 class Row(NamedTuple):
-    """How a table shows an observable: `label`, its `unit` as a column, if there is
+    """The row of an observable in a table: `label`, its `unit` as a column, if there is
     one, and a factor."""
 
     label: str
@@ -417,11 +343,9 @@ def rows_of(
     several = bool(units or found)
     rows = []
     for name in averages.shown:
-        dimension = OBSERVABLES[name].dimension
-        rows.append((name, Row(name, (units.label(dimension),) * several)))
-        if name == "friction":
-            rows += [
-                (name, Row("mu" if one.symbol == "mu" else one.name, (one.unit,), one))
-                for one in found
-            ]
+        unit = units.label(OBSERVABLES[name].dimension)
+        rows.append((name, Row(name, (unit,) * several)))
+        for one in found if name == "friction" else ():
+            label = "mu" if one.symbol == "mu" else one.name
+            rows.append((name, Row(label, (one.unit,), one)))
     return rows

@@ -1,4 +1,4 @@
-"""How the slider is driven, and how a run is recorded."""
+"""Drives of the slider, and the recording of a run."""
 
 import math
 from dataclasses import dataclass
@@ -57,10 +57,10 @@ class Drive:
 
     def __post_init__(self) -> None:
         if isinstance(self.velocity, (np.ndarray, list, tuple)):
-            many = "eqsim.curve(ensemble, velocities) is exact at many, eqsim.sweep simulates them"
-            raise InputError(
-                f"velocity = {shown(self.velocity)}: must be one number; {many}"
-            )
+            given = f"velocity = {shown(self.velocity)}"
+            many = "eqsim.curve(ensemble, velocities) is exact at many"
+            also = "eqsim.sweep simulates them"
+            raise InputError(f"{given}: must be one number; {many}, {also}")
         require_number("velocity", self.velocity, **POSITIVE)
         if self.distance is not None:
             require_number("distance", self.distance, **POSITIVE)
@@ -68,9 +68,9 @@ class Drive:
 
     def over(self, ensemble: Ensemble) -> float:
         """The distance, with its default filled in."""
-        return (
-            200.0 * ensemble.thresholds.mean if self.distance is None else self.distance
-        )
+        if self.distance is None:
+            return 200.0 * ensemble.thresholds.mean
+        return self.distance
 
 
 @dataclass(frozen=True)
@@ -112,9 +112,8 @@ class Segment:
         if self.distance is not None:
             require_number("distance", self.distance, **POSITIVE)
             if self.velocity == 0:
-                raise InputError(
-                    "velocity = 0.0: must not be 0 with a distance; a hold has a time"
-                )
+                said = "must not be 0 with a distance; a hold has a time"
+                raise InputError(f"velocity = 0.0: {said}")
         else:
             require_number("time", self.time or 0.0, **POSITIVE)
         if self.points is not None:
@@ -122,21 +121,17 @@ class Segment:
 
     @property
     def duration(self) -> float:
-        """How long it takes (time)."""
-        return (
-            self.distance / abs(self.velocity)
-            if self.distance is not None
-            else self.time or 0.0
-        )
+        """Its time."""
+        if self.distance is None:
+            return self.time or 0.0
+        return self.distance / abs(self.velocity)
 
     @property
     def path(self) -> float:
-        """How far the slider moves, whatever the direction (length)."""
-        return (
-            self.distance
-            if self.distance is not None
-            else abs(self.velocity) * (self.time or 0.0)
-        )
+        """Length of the slider's path, whatever the direction."""
+        if self.distance is None:
+            return abs(self.velocity) * (self.time or 0.0)
+        return self.distance
 
 
 @dataclass(frozen=True)
@@ -237,62 +232,50 @@ class Programme:
             raise InputError("programme = []: must have at least one segment")
         for segment in self.segments:
             if not isinstance(segment, Segment):
-                raise InputError(
-                    f"programme: holds {shown(segment)}; must be Segment(velocity, distance=... or time=...)"
-                )
+                said = "must be Segment(velocity, distance=... or time=...)"
+                raise InputError(f"programme: holds {shown(segment)}; {said}")
         require_choice("start", self.start, ("fresh", "stationary"))
         if self.velocity is not None:
             require_number("velocity", self.velocity, **POSITIVE)
         elif self.start == "stationary":
             raise InputError('velocity: is required with start = "stationary"')
         with under("programme"):
-            require_number(
-                "time", sum(segment.duration for segment in self.segments), **POSITIVE
-            )
+            duration = sum(segment.duration for segment in self.segments)
+            require_number("time", duration, **POSITIVE)
 
     def grid(self, points: int) -> Grid:
         """About `points` instants: equidistant along a segment that moves, at equal
         ratios from the 1e-5th part of a hold on."""
         share = max(1, (points - 1) // len(self.segments))
-        t: list[Array] = [np.zeros(1)]
-        X: list[Array] = [np.zeros(1)]
-        number: list[Array] = [np.zeros(1, np.int64)]
-        elapsed: Array
-        along: Array
+        parts = [Grid(np.zeros(1), np.zeros(1), np.zeros(1, np.int64))]
         for index, segment in enumerate(self.segments):
-            n = segment.points or share
+            n, (t, X, _) = segment.points or share, parts[-1]
             if segment.velocity == 0:
-                elapsed = segment.duration * np.flip(np.geomspace(1.0, _FIRST_LOOK, n))
-                along = np.zeros(n)
+                along: Array = np.zeros(n)
+                looks = np.flip(np.geomspace(1.0, _FIRST_LOOK, n))
+                elapsed: Array = segment.duration * looks
             else:
                 along = np.arange(1, n + 1) * (segment.path / n)
                 elapsed = np.asarray(along / abs(segment.velocity))
-            t.append(t[-1][-1] + elapsed)
-            X.append(X[-1][-1] + math.copysign(1.0, segment.velocity) * along)
-            number.append(np.full(n, index))
-        return Grid(np.concatenate(t), np.concatenate(X), np.concatenate(number))
+            there = X[-1] + math.copysign(1.0, segment.velocity) * along
+            parts.append(Grid(t[-1] + elapsed, there, np.full(n, index)))
+        return Grid(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def require_drive(drive: Drive | Programme) -> Drive:
     """A constant drive; InputError for what is none, such as a bare velocity or a
     programme."""
     if isinstance(drive, Programme):
-        what = (
-            "drive.stage: a slider that a spring pulls"
-            if drive.stage
-            else "drive.programme:"
-        )
-        raise InputError(
-            f"{what} has no steady state; this needs a constant drive.velocity of the slider itself"
-        )
+        pulled = "drive.stage: a slider that a spring pulls"
+        moving = pulled if drive.stage else "drive.programme:"
+        needs = "this needs a constant drive.velocity of the slider itself"
+        raise InputError(f"{moving} has no steady state; {needs}")
     if not isinstance(drive, Drive):
-        raise InputError(
-            f"drive = {shown(drive)}: must be a Drive, for example Drive(velocity=0.1)"
-        )
+        said = "must be a Drive, for example Drive(velocity=0.1)"
+        raise InputError(f"drive = {shown(drive)}: {said}")
     if drive.elastic is not None:
-        raise InputError(
-            "elastic: coupled blocks are simulated by `eqsim run` alone; this needs a rigid slider"
-        )
+        said = "coupled blocks are simulated by `eqsim run` alone"
+        raise InputError(f"elastic: {said}; this needs a rigid slider")
     return drive
 
 
@@ -301,7 +284,7 @@ MOST_SERIES = 20_000_000  # forces of replicas that are kept one by one
 
 @dataclass(frozen=True)
 class Output:
-    """How a run is recorded.
+    """The recording of a run.
 
     Raises InputError for a value out of range.
 
@@ -328,13 +311,13 @@ class Output:
     def __post_init__(self) -> None:
         check_output(self.points, self.seed, self.replicas)
         if self.series and self.replicas == 1:
-            raise InputError(
-                "series: writes the force of every replica; needs output.replicas of 2 or more"
+            said = (
+                "writes the force of every replica; needs output.replicas of 2 or more"
             )
-        if self.series and self.replicas * self.points > MOST_SERIES:
-            size = (
-                f"output.replicas x output.points = {self.replicas * self.points:.3g}"
-            )
+            raise InputError(f"series: {said}")
+        forces = self.replicas * self.points
+        if self.series and forces > MOST_SERIES:
+            size = f"output.replicas x output.points = {forces:.3g}"
             raise InputError(
                 f"series: {size}; at most {MOST_SERIES:.0e} forces are kept"
             )

@@ -4,7 +4,8 @@
 Block j has n contacts, a spring K_d to a plate at D, and springs kappa_b to its
 neighbours:
 
-    K_d (D - X_j) - kappa_b (L X)_j = F_j(X_j),        (L X)_j = sum over neighbours i of X_j - X_i.
+    K_d (D - X_j) - kappa_b (L X)_j = F_j(X_j),
+    (L X)_j = sum over neighbours i of X_j - X_i.
 
 Contacts break where X_j takes them; a break at block i whose contact loses the force k
 xi moves block j by G_ji k xi, G = ((K_d + n k) 1 + kappa_b L)^-1.
@@ -27,7 +28,8 @@ from eqsim.numerics.tables import Array
 
 Edges = Literal["open", "periodic"]
 _MOST_BLOCKS = 10_000_000
-_NEGLIGIBLE = 1e-12  # of the response of a block to its own breaks: below what positions are rounded to
+# Share of a block's response to its own breaks that rounding of positions hides
+_NEGLIGIBLE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -65,17 +67,15 @@ class Elastic:
     def __post_init__(self) -> None:
         if isinstance(self.blocks, (tuple, list)):
             if len(self.blocks) != 2:
-                raise InputError(
-                    f"blocks = {shown(self.blocks)}: must be a number of blocks, or two, [nx, ny]"
-                )
+                said = "must be a number of blocks, or two, [nx, ny]"
+                raise InputError(f"blocks = {shown(self.blocks)}: {said}")
             object.__setattr__(self, "blocks", tuple(self.blocks))
         for number in self.shape:
             require_integer("blocks", number, 1, _MOST_BLOCKS)
         require_integer("blocks", self.count, 1, _MOST_BLOCKS)
         require_number("coupling", self.coupling, least=0.0, most=1e9)
-        require_number(
-            "drive_stiffness", self.drive_stiffness, least=1e-6, most=1e6
-        )  # avalanches of 1e6 breaks
+        # avalanches of 1e6 breaks
+        require_number("drive_stiffness", self.drive_stiffness, least=1e-6, most=1e6)
         require_choice("edges", self.edges, ("open", "periodic"))
 
     @property
@@ -93,28 +93,29 @@ class Elastic:
         """lambda, over which the displacement by a break decays, in blocks (of a sheet
         along its axes): cosh(1/lambda) = 1 + (K_d + n k)/(2 kappa_b); 0 without
         coupling."""
-        return (
-            1.0 / math.acosh(1.0 + (1.0 + self.drive_stiffness) / (2.0 * self.coupling))
-            if self.coupling
-            else 0.0
-        )
+        if not self.coupling:
+            return 0.0
+        both = 1.0 + self.drive_stiffness
+        return 1.0 / math.acosh(1.0 + both / (2.0 * self.coupling))
 
     @property
     def load(self) -> float:
-        """rho = n k/(n k + K_d), how many breaks follow from one directly, in the mean."""
+        """rho = n k/(n k + K_d), how many breaks follow from one directly, in
+        the mean."""
         return 1.0 / (1.0 + self.drive_stiffness)
 
     @property
     def mean_size(self) -> float:
-        """1 + n k/K_d, breaks of an avalanche in the mean of infinitely many contacts."""
+        """1 + n k/K_d, breaks of an avalanche in the mean of infinitely many
+        contacts."""
         return 1.0 + 1.0 / self.drive_stiffness
 
     def contacts_per_block(self, count: int) -> int:
-        """n, of `count` contacts. Raises InputError unless they can be divided equally."""
+        """n, of `count` contacts. Raises InputError unless they can be divided
+        equally."""
         if count % self.count:
-            raise InputError(
-                f"contacts.count = {count}: must be a multiple of the {self.count} blocks of [elastic]"
-            )
+            said = f"must be a multiple of the {self.count} blocks of [elastic]"
+            raise InputError(f"contacts.count = {count}: {said}")
         return count // self.count
 
     def response(self) -> Array:
@@ -123,10 +124,8 @@ class Elastic:
         are periodic and twice the lattice, with mirror images, if they are open. What
         is below 1e-12 of the middle is cut off, and added to it: the sum over all
         blocks is exactly 1/(1 + K_d/(n k))."""
-        sizes = [
-            1 if n == 1 else n if self.edges == "periodic" else 2 * n
-            for n in reversed(self.shape)
-        ]
+        images = 1 if self.edges == "periodic" else 2
+        sizes = [1 if n == 1 else images * n for n in reversed(self.shape)]
         modes = (
             2.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(size) / size) for size in sizes
         )
@@ -139,11 +138,8 @@ class Elastic:
         middle = np.ix_(*(np.arange(-r, r + 1) for r in reach))
         found = np.where(G[middle] >= _NEGLIGIBLE * G[0, 0], G[middle], 0.0)
         # on an even ring the farthest block is met once, from one side
-        once = [
-            2 * np.arange(-r, r + 1) > -max(size, 2)
-            for r, size in zip(reach, sizes, strict=True)
-        ]
-        found[reach[0], reach[1]] += self.load - np.sum(
-            found * np.logical_and.outer(*once)
-        )
+        rings = zip(reach, sizes, strict=True)
+        once = [2 * np.arange(-r, r + 1) > -max(size, 2) for r, size in rings]
+        total = np.sum(found * np.logical_and.outer(*once))
+        found[reach[0], reach[1]] += self.load - total
         return found

@@ -79,18 +79,14 @@ class Ensemble:
 
     def __post_init__(self) -> None:
         if not hasattr(self.thresholds, "declared"):
-            raise InputError(
-                f"thresholds = {shown(self.thresholds)}: must be a law of thresholds, such as Gamma(1.0)"
-            )
-        for name, kind in (
-            ("thermal", Thermal),
-            ("delay", Delay),
-            ("aging", Aging),
-            ("newborn", Newborn),
-        ):
-            if not isinstance(getattr(self, name), kind):
+            said = "must be a law of thresholds, such as Gamma(1.0)"
+            raise InputError(f"thresholds = {shown(self.thresholds)}: {said}")
+        for kind in (Thermal, Delay, Aging, Newborn):
+            name = kind.__name__.lower()
+            given = getattr(self, name)
+            if not isinstance(given, kind):
                 raise InputError(
-                    f"{name} = {shown(getattr(self, name))}: must be {kind.__name__}(...)"
+                    f"{name} = {shown(given)}: must be {kind.__name__}(...)"
                 )
         require_integer("count", self.count, 1, 10**12)
         require_number("stiffness", self.stiffness, **POSITIVE)
@@ -114,13 +110,9 @@ class Ensemble:
         )
         rule = "pooled" if self.disorder == "annealed" else aging.rule
         ages = (rule, *aging.declared(unit, velocity)) if aging.active else ()
-        births: tuple[Any, ...] = ()
-        if self.newborn.active:
-            scale = 1.0 if self.newborn.of == "threshold" else unit
-            births = tuple(
-                part if isinstance(part, str) else part / scale
-                for part in self.newborn.declared
-            )
+        born = self.newborn.declared if self.newborn.active else ()
+        scale = 1.0 if self.newborn.of == "threshold" else unit
+        births = (part if isinstance(part, str) else part / scale for part in born)
         return (
             self.disorder,
             self.stiffness_law,
@@ -134,23 +126,18 @@ class Ensemble:
 
     @property
     def self_consistent(self) -> bool:
-        """Whether births depend on the mean pinned time: annealed contacts that age at
+        """True if births depend on the mean pinned time: annealed contacts that age at
         a finite rate."""
-        return (
-            self.disorder == "annealed"
-            and self.aging.active
-            and self.aging.rate < math.inf
-        )
+        finite = self.aging.active and self.aging.rate < math.inf
+        return finite and self.disorder == "annealed"
 
     @property
     def fluctuates(self) -> bool:
-        """Whether thresholds fluctuate while pinned: quenched contacts that age by
+        """True if thresholds fluctuate while pinned: quenched contacts that age by
         `langevin`."""
-        return (
-            self.disorder == "quenched"
-            and self.aging.active
-            and RULES[self.aging.rule].fluctuates
-        )
+        aging = self.aging
+        fluctuate = aging.active and RULES[aging.rule].fluctuates
+        return fluctuate and self.disorder == "quenched"
 
     @property
     def divergence(self) -> str:
@@ -166,16 +153,16 @@ class Ensemble:
             return ""
         exponent = tail_exponent(self.thresholds)
         mean = "<k_i^2 xi^3> ~ <xi^5>" if power == 5 else "<xi^3>"
-        return f"the variance of forces is infinite: {mean} diverges, as P(xi > x) falls like x^-{exponent:.4g}"
+        why = f"{mean} diverges, as P(xi > x) falls like x^-{exponent:.4g}"
+        return f"the variance of forces is infinite: {why}"
 
     @property
     def b(self) -> float:
         """k x_*^2/(2 kT), eq. (21) of Braun and Peyrard (2011), with the scale x_* of
         the threshold law. Infinite at kT = 0."""
         energy = 0.5 * self.stiffness * self.thresholds.scale * self.thresholds.scale
-        return (
-            energy / self.thermal.kT if self.thermal.kT > energy * 1e-300 else math.inf
-        )
+        kT = self.thermal.kT
+        return energy / kT if kT > energy * 1e-300 else math.inf
 
     @property
     def crossover_velocity(self) -> float:
@@ -187,7 +174,6 @@ class Ensemble:
             return 0.0
         barrier: Any = BARRIERS[thermal.barrier]
         pool = pooled_hazard_of(self.thresholds, self.stiffness_law, barrier, self.b)
-        total = (
-            pool.G[-1] if pool.G.size else 0.0
-        )  # no attempt succeeds at very low temperature
+        # no attempt succeeds at very low temperature
+        total = pool.G[-1] if pool.G.size else 0.0
         return float(thermal.attempt_frequency * self.thresholds.scale * total)

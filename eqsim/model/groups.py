@@ -1,5 +1,5 @@
-"""What `eqsim info` says of a run: its dimensionless groups, and which of them are so
-extreme that units were probably mixed."""
+"""The dimensionless groups of a run for `eqsim info`, and warnings of those so extreme
+that units were probably mixed."""
 
 import math
 from collections.abc import Iterator
@@ -19,7 +19,8 @@ _DOUBTFUL_DISTANCE = 1e-4
 
 
 class Group(NamedTuple):
-    """A dimensionless group, or a scale, of a run: its usual name, value and meaning."""
+    """A dimensionless group, or a scale, of a run: its usual name, value and
+    meaning."""
 
     name: str
     value: float | str
@@ -109,7 +110,7 @@ def _of_programme(ensemble: Ensemble, programme: Programme, v: float) -> Rows:
 
 
 def _of_tails(ensemble: Ensemble) -> Rows:
-    """Whether rare strong contacts dominate averages over time."""
+    """The answer to whether rare strong contacts dominate averages over time."""
     law, aging, greatest = (
         ensemble.thresholds,
         ensemble.aging,
@@ -124,8 +125,8 @@ def _of_tails(ensemble: Ensemble) -> Rows:
         why = "at every kT: thresholds that grow as ln t outlive all attempts"
         yield "heavy tails", "yes", why
     elif ensemble.stiffness_law == "sqrt":
-        why = "at every kT: k_i grows with the threshold, so barriers outgrow their rarity"
-        yield "heavy tails", "yes", why
+        why = "k_i grows with the threshold, so barriers outgrow their rarity"
+        yield "heavy tails", "yes", f"at every kT: {why}"
     elif ensemble.b >= 0.5:
         yield "heavy tails", "yes", "b >= 1/2: rare strong contacts dominate time"
     else:

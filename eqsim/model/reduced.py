@@ -1,24 +1,25 @@
-"""Where ensemble and drive become dimensionless numbers: the only place, for the engine
-and the reference alike.
+"""Reduction of ensemble and drive to dimensionless numbers: the only place, for the
+engine and the reference alike.
 
 Lengths are in units of the threshold law's scale x_* (that of a gamma law, else the
 mean threshold), time is displacement at the velocity v, stiffness is in units of k and
 energy in units of kT. What a key of a run file is called afterwards, and where:
 
-    thermal.kT                   b          k x_*^2/(2 kT)            barrier, `Ensemble.b`
-    thermal.attempt_frequency    log_w      ln(omega x_*/v)           barrier
-    aging.rate                   alpha      4 D x_*/(v x_*f^2)        aging, `Aging.alpha`
-    aging.x_star_final           final2     (x_*f/x_*)^2              aging
-    aging.cutoff_time            per_time   x_*/(v t_c)               aging
-    delay.time                   mean       v tau/x_*                 delay, `Delay.reduced`
-    viscosity.eta                drag       eta v/(k x_*)
-    newborn.*                    the same   y/x_*, or y/xi            `Newborn.reduced`
-    drive.velocity               pace       v; else part of log_w, alpha, per_time, mean, drag
-    drive.stage.damping          damping    eta_s v/x_*               `Pull`
-    drive.stage.mass             mass       m v^2/x_*^2               `Pull`
-    output.seed                  key        two words of a stream     `numerics.streams.key`
+    thermal.kT                 b         k x_*^2/(2 kT)         barrier, `Ensemble.b`
+    thermal.attempt_frequency  log_w     ln(omega x_*/v)        barrier
+    aging.rate                 alpha     4 D x_*/(v x_*f^2)     aging, `Aging.alpha`
+    aging.x_star_final         final2    (x_*f/x_*)^2           aging
+    aging.cutoff_time          per_time  x_*/(v t_c)            aging
+    delay.time                 mean      v tau/x_*              delay
+    viscosity.eta              drag      eta v/(k x_*)
+    newborn.*                  the same  y/x_*, or y/xi         `Newborn.reduced`
+    drive.stage.damping        damping   eta_s v/x_*            `Pull`
+    drive.stage.mass           mass      m v^2/x_*^2            `Pull`
+    drive.velocity             pace      of a segment           `Leg`
+    output.seed                key       words of a stream      `numerics.streams.key`
 
-Other keys keep their names: n, beta, the stage's stiffness, counts and choices.
+At constant velocity v is a part of log_w, alpha, per_time, mean and drag only. Other
+keys keep their names: n, beta, the stage's stiffness, counts and choices.
 """
 
 import functools
@@ -266,6 +267,7 @@ def _barrier(ensemble: Ensemble, velocity: float, unit: float) -> Barrier:
     log_w = math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
     name = "ln(attempt_frequency * threshold / velocity)"
     require_number(name, log_w, least=-230, most=230)
-    barrier: Barrier = law(max(b, _LEAST_B), log_w)  # type: ignore[call-arg]  # the NamedTuple that every law is
+    # every law is a NamedTuple of these two
+    barrier: Barrier = law(max(b, _LEAST_B), log_w)  # type: ignore[call-arg]
     require_whole(thermal.barrier, barrier)
     return barrier

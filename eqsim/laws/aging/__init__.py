@@ -80,13 +80,8 @@ class Aging:
             require_number("beta", self.beta, least=0.0, most=_MOST_BETA)
         if self.cutoff_time is not None:
             require_number("cutoff_time", self.cutoff_time, **POSITIVE)
-        self.check_keys(
-            {
-                field.name
-                for field in fields(self)
-                if getattr(self, field.name) != field.default
-            }
-        )
+        given = (one for one in fields(self) if getattr(self, one.name) != one.default)
+        self.check_keys({one.name for one in given})
 
     @classmethod
     def of_keys(cls, values: dict[str, Any], given: set[str]) -> "Aging":
@@ -113,7 +108,7 @@ class Aging:
 
     @property
     def active(self) -> bool:
-        """Whether thresholds move at all."""
+        """True if thresholds move at all."""
         return self.rule != "none" and (self.rate > 0 or (self.beta or 0.0) > 0)
 
     def check(self, law: Any, disorder: str) -> None:
@@ -147,10 +142,8 @@ class Aging:
         return PooledThresholds(law, self.x_star_final, decay)
 
     def law(self, thresholds: Any, velocity: float) -> AgingLaw:
-        """What quenched contacts of these newborn thresholds do at `velocity`. Raises
-        InputError."""
-        return (
-            RULES[self.rule].reduced(self, thresholds, velocity)
-            if self.active
-            else Unaged()
-        )
+        """The law of quenched contacts of these newborn thresholds at `velocity`.
+        Raises InputError."""
+        if not self.active:
+            return Unaged()
+        return RULES[self.rule].reduced(self, thresholds, velocity)

@@ -22,10 +22,21 @@ from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.roots import Bracket, narrowed, newton
 
 _NODES, _WEIGHTS = gauss_legendre(10)
-_RANGE, _GROWN, _NEGLIGIBLE, _DEEPEST, _RELAXING = 4.0, 1.5, 37.0, 1000, 4
-# of E over a xi^2, 9 units in the last place: of threshold, stretch and their
-# difference
+# Within a cell barriers differ by at most this, beyond their rounding.
+_RANGE = 4.0
+# Within a cell thresholds grow by at most this factor.
+_GROWN = 1.5
+# Hazards exp(-37) of what is left do not count.
+_NEGLIGIBLE = 37.0
+# Halvings of a path after which a cell is small enough whatever happens in it.
+_DEEPEST = 1000
+# Halvings that are made anyway where a stretch relaxes under a falling threshold.
+_RELAXING = 4
+# Of E over a xi^2, 9 units in the last place: of threshold, stretch and their
+# difference.
 _ROUNDING = 2e-15
+# Share of an interval that a golden section leaves.
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 class _Path(NamedTuple):
@@ -54,8 +65,8 @@ def _at(c: _Path, s: float) -> tuple[float, float]:
 def path_life(
     law: Any, barrier: Any, springs: Springs, xi: float, clock: float
 ) -> tuple[float, float]:
-    """Where a contact with threshold `xi` at birth breaks whose clock shows `clock`,
-    and the hazard it has spent."""
+    """The stretch at which a contact of threshold `xi` at birth breaks whose clock
+    shows `clock`, and the hazard it has spent."""
     return _follow(_Path(law, barrier, springs, xi, end(law, xi), 0.0, 1.0, 0.0), clock)
 
 
@@ -79,13 +90,9 @@ def _follow(c: _Path, clock: float) -> tuple[float, float]:
     born, left = _at(c, 0.0)
     final = _at(c, top)[0]
     greatest = max(born, final)
-    noise = (
-        _ROUNDING
-        * c.barrier.b
-        * kappa_at(law, c.springs, c.xi, greatest)
-        * greatest
-        * greatest
-    )
+    noise = _ROUNDING * c.barrier.b * kappa_at(law, c.springs, c.xi, greatest)
+    noise *= greatest
+    noise *= greatest
     most = _RANGE + noise  # by which E may differ within a cell
     coarse = _RELAXING if c.stretch < 0.0 and final < born else 0
     spent, level, index = 0.0, 0, 0
@@ -94,10 +101,8 @@ def _follow(c: _Path, clock: float) -> tuple[float, float]:
         z = index * width
         x0, x1 = top * z * (2.0 - z), top * (z + width) * (2.0 - z - width)
         now, right = _at(c, x1)
-        seen = (
-            log_w + math.log(2.0 * top * width) - min(left, right) > floor
-            or level < coarse
-        )
+        log_hazard = log_w + math.log(2.0 * top * width) - min(left, right)
+        seen = log_hazard > floor or level < coarse
         last = level >= _DEEPEST
         # thresholds vanish at some x < 0, perhaps nearby
         fine = last or (
@@ -142,16 +147,9 @@ def _rate(c: _Path, z: float) -> float:
     s = c.end * z * (2.0 - z)
     x = abs(c.stretch + c.moves * s)
     now = max(c.xi * growth(c.law, c.age + s), x)
-    barrier = height(
-        c.barrier, now, x, c.barrier.b * kappa_at(c.law, c.springs, c.xi, now)
-    )
-    return (
-        math.exp(c.barrier.log_w - barrier)
-        * 2.0
-        * c.end
-        * (1.0 - z)
-        * prefactor(c.barrier, now, x)
-    )
+    a = c.barrier.b * kappa_at(c.law, c.springs, c.xi, now)
+    rate = math.exp(c.barrier.log_w - height(c.barrier, now, x, a))
+    return rate * 2.0 * c.end * (1.0 - z) * prefactor(c.barrier, now, x)
 
 
 @routine
@@ -179,22 +177,20 @@ def _life(law: Any, c: Any, xi: float, clock: float) -> float:
     return path_life(law, c.barrier, c.springs, xi, clock)[0]
 
 
-# --------------------------------------------------------------------------------------------
-# segments of a programme
+# ---- segments of a programme ----
 
 
 @routine(inline=True)
 def _excess(law: Any, contact: Held, moves: float, s: float) -> float:
     """Threshold less stretch at s of a segment."""
-    return contact.threshold * growth(law, contact.age + s) - abs(
-        contact.stretch + moves * s
-    )
+    stretch = abs(contact.stretch + moves * s)
+    return contact.threshold * growth(law, contact.age + s) - stretch
 
 
 @routine
 def _root(law: Any, contact: Held, moves: float, low: float, high: float) -> float:
-    """Where the stretch reaches the threshold, between s where it is below and where it
-    is not."""
+    """The s at which the stretch reaches the threshold, between one where it is below
+    and one where it is not."""
     bracket, s = Bracket(low, high), 0.5 * (low + high)
     for _ in range(200):
         if bracket.high - bracket.low <= 2e-16 * bracket.high:
@@ -206,9 +202,9 @@ def _root(law: Any, contact: Held, moves: float, low: float, high: float) -> flo
 
 @routine
 def crossing(law: Any, contact: Held, moves: float, length: float) -> float:
-    """Where in a segment of that length the stretch of a contact first reaches its
-    threshold; infinity if it does not. Growth is concave and falling thresholds are
-    convex in time, so that there is one crossing where the stretch grows or stays;
+    """The s in a segment of that length at which the stretch of a contact first reaches
+    its threshold; infinity if there is none. Growth is concave and falling thresholds
+    are convex in time, so that there is one crossing where the stretch grows or stays;
     where it relaxes, only a falling threshold can meet it, between the beginning and
     the least excess (derived)."""
     y, age = contact.stretch, contact.age
@@ -229,9 +225,6 @@ def crossing(law: Any, contact: Held, moves: float, length: float) -> float:
     return _root(law, contact, moves, turn, length)
 
 
-_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-
-
 @routine
 def _along(
     law: Any, c: Any, contact: Held, moves: float, end: float, clock: float
@@ -242,18 +235,15 @@ def _along(
     turn = -y / moves if moves != 0 and -end * moves < y < 0.0 else 0.0
     before = 0.0
     if turn > 0.0:
-        s, before = _follow(
-            _Path(law, c.barrier, c.springs, xi, turn, y, float(moves), age), clock
-        )
+        path = _Path(law, c.barrier, c.springs, xi, turn, y, float(moves), age)
+        s, before = _follow(path, clock)
         if s < turn:
             return s, clock
         y, age = 0.0, age + turn
     if end <= turn:
         return turn, before
-    s, after = _follow(
-        _Path(law, c.barrier, c.springs, xi, end - turn, y, float(moves), age),
-        clock - before,
-    )
+    path = _Path(law, c.barrier, c.springs, xi, end - turn, y, float(moves), age)
+    s, after = _follow(path, clock - before)
     return turn + s, before + after
 
 

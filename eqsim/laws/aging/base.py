@@ -6,8 +6,10 @@ xi^2/x_*^2 ~ Gamma(n+1) is solved by the norm of a (2n+2)-dimensional Ornstein-U
 process of rate 2D/x_*f^2 and variance x_*f^2/2 per component (derived). So, for
 contacts of age t that have not broken,
 
-    transition    xi'^2 = (xi e + s Z)^2 + s^2 chi^2(2n+1),   e = exp(-2Dt/x_*f^2),   s^2 = x_*f^2 (1 - e^2)/2
-    one-time law  Gamma(n, x_*(t)),   x_*(t)^2 = x_*f^2 - (x_*f^2 - x_*i^2) exp(-4Dt/x_*f^2)
+    transition    xi'^2 = (xi e + s Z)^2 + s^2 chi^2(2n+1),
+                  e = exp(-2Dt/x_*f^2),   s^2 = x_*f^2 (1 - e^2)/2
+    one-time law  Gamma(n, x_*(t)),
+                  x_*(t)^2 = x_*f^2 - (x_*f^2 - x_*i^2) exp(-4Dt/x_*f^2)
 
 with Z normal. There are two rules for quenched contacts: the thresholds of `langevin`
 follow that process; those of `flow` follow xi(t) = xi(0) x_*(t)/x_*i, which has the
@@ -47,16 +49,15 @@ def change2(final2: float, age: Any) -> Array:
 
 
 def scale2(final2: float, age: Any) -> Array:
-    """x_*^2/x_*i^2 of the unbroken law, a sum of positive terms; `age` may be infinite."""
-    return (
-        np.asarray(final2 + (1.0 - final2) * np.exp(-age))
-        if final2 < 1
-        else 1.0 + change2(final2, age)
-    )
+    """x_*^2/x_*i^2 of the unbroken law, a sum of positive terms; `age` may be
+    infinite."""
+    if final2 < 1:
+        return np.asarray(final2 + (1.0 - final2) * np.exp(-age))
+    return 1.0 + change2(final2, age)
 
 
 class AgingLaw(Law):
-    """What every law of aging has: `fluctuates` if lives are paths of a random process,
+    """A law of aging: `fluctuates` if lives are paths of a random process,
     `closed` if they are known in closed form, without integrating a hazard or following
     a path, and `stiffens` if the stiffness of the sqrt law follows the threshold, which
     else is that at birth. `keys` are the parameters of `Aging` that are its own."""
@@ -80,12 +81,12 @@ class AgingLaw(Law):
 
     @property
     def most(self) -> float:
-        """By what factor a threshold that sets the stiffness grows at most."""
+        """The factor by which a threshold that sets the stiffness grows at most."""
         return 1.0
 
     def growth_at(self, x: Array) -> Array:
-        """By what factor every threshold has grown of contacts that have been pinned
-        for `x` (any shape), where it is the same for all."""
+        """The factor by which every threshold has grown of contacts that have been
+        pinned for `x` (any shape), where it is the same for all."""
         return np.ones_like(x)
 
     def bracket(self, xi: Any) -> tuple[Any, Any]:
@@ -94,7 +95,7 @@ class AgingLaw(Law):
         return xi, xi
 
     def table(self, springs: Springs) -> Array:
-        """What `work` looks up, if anything."""
+        """The table that `work` looks up, if any."""
         return NO_TABLE
 
 
@@ -113,9 +114,8 @@ class Drift(AgingLaw):
             raise InputError(f'rule = "{aging.rule}": needs thresholds of law "gamma"')
         fluctuates = disorder == "quenched" and cls.fluctuates
         if aging.rate == math.inf and fluctuates:
-            raise InputError(
-                f'rate = inf: must be finite with rule = "{aging.rule}" and quenched disorder'
-            )
+            said = f'must be finite with rule = "{aging.rule}" and quenched disorder'
+            raise InputError(f"rate = inf: {said}")
         if not 1e-3 <= aging.final(law.x_star) <= 1e3:
             given = f"x_star_final = {aging.x_star_final!r}"
             raise InputError(f"{given}: must be within a factor 1000 of x_star")
@@ -164,8 +164,7 @@ class Unaged(_NoNumbers, AgingLaw):
     closed: ClassVar[bool] = True
 
 
-# ---------------------------------------------------------------------------------------------------------
-# kernels
+# ---- kernels ----
 
 
 @by_law
@@ -176,13 +175,14 @@ def growth(law: Any, x: float) -> float:
 
 @by_law
 def end(law: Any, xi: float) -> float:
-    """Where a contact born with threshold `xi` breaks if heat does not break it before."""
+    """The stretch at which a contact born with threshold `xi` breaks unless heat breaks
+    it before."""
     return xi
 
 
 @by_law
 def smooth(law: Any, x0: float, x1: float) -> bool:
-    """Whether growth between two stretches is well described by a polynomial of a few
+    """True if growth between two stretches is well described by a polynomial of a few
     degrees."""
     return True
 
@@ -195,16 +195,16 @@ def kappa_at(law: Any, springs: Springs, born: float, now: float) -> float:
 
 @by_law
 def whole_hazard(law: Any, c: Any, xi: float) -> tuple[float, float]:
-    """Where a contact born with threshold `xi` breaks mechanically, and its integrated
-    hazard until then; of laws whose lives have no closed form. `c` is an
+    """The stretch at which a contact born with threshold `xi` breaks mechanically, and
+    its integrated hazard until then; of laws whose lives have no closed form. `c` is an
     `engine.contacts.Contacts`."""
     raise TypeError("lives of this law of aging are closed, or paths")
 
 
 @by_law
 def life(law: Any, c: Any, xi: float, clock: float) -> float:
-    """Where a contact born with threshold `xi` breaks whose exponential clock shows
-    `clock`."""
+    """The stretch at which a contact born with threshold `xi` breaks whose exponential
+    clock shows `clock`."""
     raise TypeError("lives of this law of aging are paths")
 
 
@@ -239,7 +239,7 @@ def spent(law: Any, c: Any, contact: Held, moves: float, length: float) -> float
 
 @by_law
 def stiffness_varies(law: Any, springs: Springs) -> bool:
-    """Whether a contact's stiffness changes while it is pinned."""
+    """True if a contact's stiffness changes while it is pinned."""
     return False
 
 
@@ -270,9 +270,8 @@ def _spent(law: Unaged, c: Any, contact: Held, moves: float, length: float) -> f
     if y < 0.0 < end:
         before = hazard(c.barrier, c.hazard_table, xi, stiffness, -y)
         return (before + hazard(c.barrier, c.hazard_table, xi, stiffness, end)) / moves
-    return (
-        mean_rate(c.barrier, c.hazard_table, xi, stiffness, max(y, -end), way) * length
-    )
+    y = max(y, -end)
+    return mean_rate(c.barrier, c.hazard_table, xi, stiffness, y, way) * length
 
 
 @spend.register(Unaged)
@@ -286,6 +285,5 @@ def _spend(
             return math.inf, left
     if moves * clock < _STANDSTILL:
         return min(clock / rate(c.barrier, xi, stiffness, abs(y)), length), 0.0
-    return min(
-        max(travel(c, xi, stiffness, y, moves * clock), 0.0) / moves, length
-    ), 0.0
+    way = max(travel(c, xi, stiffness, y, moves * clock), 0.0)
+    return min(way / moves, length), 0.0

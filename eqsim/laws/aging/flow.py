@@ -43,9 +43,9 @@ class Flow(NamedTuple("FlowNumbers", [("final2", float), ("alpha", float)]), Dri
 
 
 def work_table(final2: float) -> Array:
-    """By how much the mean of x_*(y)/x_*i, weighted with y, over 0 < y < x differs from
-    1, up to the sign, over 2 and of alpha x: it rises, from a line through the origin
-    to a constant, over which the table may be continued."""
+    """The amount by which the mean of x_*(y)/x_*i, weighted with y, over 0 < y < x
+    differs from 1, up to the sign, over 2 and of alpha x: it rises, from a line through
+    the origin to a constant, over which the table may be continued."""
     first, last = -60, 30
     t = octave_edges(first, last)
     half = 0.5 * np.diff(np.append(0.0, t))[:, None]
@@ -71,12 +71,11 @@ def _growth(law: Flow, x: float) -> float:
 @end.register(Flow)
 @routine
 def flow_end(law: Flow, xi: float) -> float:
-    """Where a threshold born as `xi` meets the stretch, by Newton's method kept inside
+    """The stretch that meets a threshold born as `xi`, by Newton's method kept inside
     a shrinking bracket."""
     final2, alpha = law.final2, law.alpha
-    bracket = Bracket(
-        xi * min(1.0, math.sqrt(final2)), xi * max(1.0, math.sqrt(final2))
-    )
+    final = math.sqrt(final2)
+    bracket = Bracket(xi * min(1.0, final), xi * max(1.0, final))
     x = bracket.high
     for _ in range(200):
         decay = math.exp(-alpha * x)

@@ -32,19 +32,17 @@ class Logarithmic(
     @classmethod
     def check(cls, aging: Any, law: Any, disorder: str) -> None:
         if disorder == "annealed":
-            raise InputError(
-                'rule = "logarithmic": needs disorder = "quenched"; an annealed contact has no threshold of its own '
-                "that could grow with its age"
-            )
+            why = "an annealed contact has no threshold that could grow with its age"
+            said = f'needs disorder = "quenched"; {why}'
+            raise InputError(f'rule = "logarithmic": {said}')
 
     @classmethod
     def reduced(cls, aging: Any, law: Any, velocity: float) -> "Logarithmic":
-        """The law of an `Aging`. Raises InputError unless v t_c is within 1e-100 to 1e100 of
-        a threshold."""
+        """The law of an `Aging`. Raises InputError unless v t_c is within 1e-100 to
+        1e100 of a threshold."""
         slid = velocity / law.scale * aging.cutoff_time
-        require_number(
-            "velocity * cutoff_time / threshold", slid, least=1e-100, most=1e100
-        )
+        name = "velocity * cutoff_time / threshold"
+        require_number(name, slid, least=1e-100, most=1e100)
         return cls(aging.beta, 1.0 / slid)
 
     def growth_at(self, x: Array) -> Array:
@@ -53,10 +51,8 @@ class Logarithmic(
     def bracket(self, xi: Any) -> tuple[Any, Any]:
         # The growth is concave, so below any of its tangents; that of slope 1/2, or of
         # less where it starts flatter, meets the stretch no later than here.
-        return xi, 2.0 * xi * (
-            1.0
-            + self.beta * np.log(np.maximum(2.0 * xi * self.beta * self.per_time, 1.0))
-        )
+        flatness = np.maximum(2.0 * xi * self.beta * self.per_time, 1.0)
+        return xi, 2.0 * xi * (1.0 + self.beta * np.log(flatness))
 
 
 @growth.register(Logarithmic)

@@ -16,11 +16,11 @@ class PooledThresholds(Continuous):
     """Thresholds of annealed contacts that age: Gamma(n, x_*(s)) with s ~ Exp(1) mean
     pinned times, that is
 
-        x_*(s)^2 = x_*f^2 - (x_*f^2 - x_*i^2) exp(-decay s),   decay = 4 D C/(v x_*f^2),   C/v the mean pinned time
+        x_*(s)^2 = x_*f^2 - (x_*f^2 - x_*i^2) exp(-decay s),   decay = 4 D C/(v x_*f^2)
 
-    (the resolvent that solves star1, derived); infinite `decay` gives the final law. A
-    threshold law like those of `laws.threshold`, except that `scale` and `rms` remain
-    those of `newborn`, where the sqrt law has k_i = k.
+    with the mean pinned time C/v (the resolvent that solves star1, derived); infinite
+    `decay` gives the final law. A threshold law like those of `laws.threshold`, except
+    that `scale` and `rms` remain those of `newborn`, where the sqrt law has k_i = k.
 
     The mixture is summed over ln s by the trapezoidal rule and kept as splines of
     ln(-ln J_c) and ln P_c over ln xi, whose error is below 2e-9 for -ln J_c up to 100
@@ -42,24 +42,21 @@ class PooledThresholds(Continuous):
         square = self.final**2 - (self.final**2 - 1.0) * age
         use = share > 1e-300
         share, square = share[use], square[use]
-        reach = np.array(
-            [unit.inverse_survival(2.0**-56), unit.inverse_survival(520.0)]
-        ) * [min(1, self.final), max(1, self.final)]
-        log_x = np.arange(
-            math.log(max(reach[0], 1e-18)), math.log(reach[1]), 0.02 * max(width, 1e-3)
-        )
+        first = float(unit.inverse_survival(2.0**-56)) * min(1, self.final)
+        last = float(unit.inverse_survival(520.0)) * max(1, self.final)
+        step = 0.02 * max(width, 1e-3)
+        log_x = np.arange(math.log(max(first, 1e-18)), math.log(last), step)
         log_share = np.log(share) - (n + 1) * np.log(square)
 
         def log_density(log_x: Array) -> Array:
-            """Of ln xi."""
+            """ln of the density of ln xi."""
             found = np.empty(log_x.size)
             for i in range(0, log_x.size, 256):
                 y = log_x[i : i + 256, None]
                 terms = log_share - np.exp(2 * y) / square
                 most = terms.max(axis=1)
-                found[i : i + 256] = most + np.log(
-                    np.exp(terms - most[:, None]).sum(axis=1)
-                )
+                total = np.exp(terms - most[:, None]).sum(axis=1)
+                found[i : i + 256] = most + np.log(total)
             return math.log(2.0) + 2 * (n + 1) * log_x + found - math.lgamma(n + 1.0)
 
         log_p = log_density(log_x)
@@ -68,17 +65,14 @@ class PooledThresholds(Continuous):
         nodes, weights = gauss_legendre(7)
         half = 0.5 * np.diff(log_x)[:, None]
         inner = log_x[:-1, None] + half * (1.0 + nodes)
-        cells = (
-            half * weights * np.exp(log_density(inner.ravel()).reshape(inner.shape))
-        ).sum(axis=1)
+        density = np.exp(log_density(inner.ravel()).reshape(inner.shape))
+        cells = (half * weights * density).sum(axis=1)
         # a power of xi below the grid
         below = np.exp(log_p[0]) / (2 * (n + 1)) + np.append(0.0, np.cumsum(cells))
-        above = np.exp(log_p[-1]) * (log_x[-1] - log_x[-2]) / (
-            log_p[-2] - log_p[-1]
-        ) + np.append(np.cumsum(cells[::-1])[::-1], 0.0)
-        log_e = np.log(
-            np.where(below < 0.5, -np.log1p(-np.minimum(below, 0.5)), -np.log(above))
-        )
+        tail = np.exp(log_p[-1]) * (log_x[-1] - log_x[-2]) / (log_p[-2] - log_p[-1])
+        above = tail + np.append(np.cumsum(cells[::-1])[::-1], 0.0)
+        most = -np.log1p(-np.minimum(below, 0.5))
+        log_e = np.log(np.where(below < 0.5, most, -np.log(above)))
         self._log_e = _spline(log_x, log_e)
         self._log_x = _spline(log_e, log_x)
         self._log_pdf = _spline(log_x, log_p - log_x)
@@ -86,7 +80,8 @@ class PooledThresholds(Continuous):
         self.mean = float(newborn.mean * (share @ np.sqrt(square)))
 
     def __repr__(self) -> str:
-        return f"PooledThresholds({self.newborn}, {self.final * self.scale:g}, decay={self.decay:g})"
+        final = f"{self.final * self.scale:g}"
+        return f"PooledThresholds({self.newborn}, {final}, decay={self.decay:g})"
 
     @property
     def declared(self) -> tuple[Any, ...]:
@@ -110,9 +105,8 @@ class PooledThresholds(Continuous):
     def _e(self, x: Any) -> Array:
         """-ln J_c(x)."""
         inside, below = self._log(x)
-        return np.asarray(
-            np.exp(self._log_e(inside) + 2 * (self.newborn.n + 1) * below)
-        )
+        power = 2 * (self.newborn.n + 1)
+        return np.asarray(np.exp(self._log_e(inside) + power * below))
 
     def cdf(self, x: Any) -> Array:
         """P(xi <= x)."""
@@ -123,7 +117,8 @@ class PooledThresholds(Continuous):
         return np.exp(-self._e(x))
 
     def inverse_survival(self, e: Any) -> Array:
-        """The threshold that a fraction exp(-e) of the contacts exceeds, e in (0, 512)."""
+        """The threshold that a fraction exp(-e) of the contacts exceeds, e in
+        (0, 512)."""
         log_e = np.log(np.asarray(e, float))
         inside = np.clip(log_e, *self._ranks)
         # a power of xi
@@ -134,11 +129,10 @@ class PooledThresholds(Continuous):
         """`inverse_survival` in units of `scale` for `threshold_draw`."""
         e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
         xi = self.inverse_survival(e)
-        return octave_table(
-            FIRST_OCTAVE, xi / self.scale, np.exp(-e) / self.pdf(xi) / self.scale
-        )
+        slope = np.exp(-e) / self.pdf(xi) / self.scale
+        return octave_table(FIRST_OCTAVE, xi / self.scale, slope)
 
 
 def _spline(x: Array, y: Array) -> Any:
-    """Of degree 5, as polynomials, which are evaluated twice as fast."""
+    """A spline of degree 5, as polynomials, which are evaluated twice as fast."""
     return interpolate.PPoly.from_spline(interpolate.make_interp_spline(x, y, k=5))
