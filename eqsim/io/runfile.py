@@ -178,7 +178,7 @@ class RunFile(Listed):
 
     @property
     def title(self) -> str:
-        """Shown above tables and pictures."""
+        """Title above tables and pictures."""
         return str(self.settings["title"])
 
     @property
@@ -199,13 +199,13 @@ class RunFile(Listed):
 
     @cached_property
     def interface(self) -> Interface:
-        """What the contacts stand for. Raises InputError."""
+        """Interface that the contacts stand for. Raises InputError."""
         with under("interface"):
             return Interface(**self.settings["interface"])
 
     @cached_property
     def output(self) -> Output:
-        """How a run is recorded. Raises InputError."""
+        """Points, seed, replicas and files of a run. Raises InputError."""
         with under("output"):
             output = Output(**self.settings["output"])
         for name in ("series", "breaks"):
@@ -305,7 +305,7 @@ class RunFile(Listed):
 
     @cached_property
     def drive(self) -> Drive | Programme:
-        """How the slider moves. Raises InputError."""
+        """Drive or programme of the slider. Raises InputError."""
         given = self.settings["drive"]
         if not self.constant:
             return self._programme()
@@ -401,8 +401,8 @@ class RunFile(Listed):
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """What friction is as a force, a shear stress and a coefficient, as far as that
-        is known."""
+        """Factors that make of friction a force, a shear stress and a coefficient, as
+        far as they are known."""
         return self.quantities_in()
 
     def quantities_in(

@@ -222,7 +222,7 @@ class Interface:
         return any(getattr(self, field.name) is not None for field in fields(self))
 
     def contacts(self, count: int) -> float:
-        """How many contacts it has, if `count` are simulated."""
+        """Number of its contacts, if `count` are simulated."""
         return (
             count
             if self.area is None or self.contacts_per_area is None

@@ -122,7 +122,7 @@ class Segment:
 
     @property
     def duration(self) -> float:
-        """How long it takes (time)."""
+        """Duration (time)."""
         return (
             self.distance / abs(self.velocity)
             if self.distance is not None
@@ -131,7 +131,7 @@ class Segment:
 
     @property
     def path(self) -> float:
-        """How far the slider moves, whatever the direction (length)."""
+        """Length of the path (length), whatever the direction."""
         return (
             self.distance
             if self.distance is not None

@@ -138,7 +138,7 @@ class Ensemble:
 
     @property
     def self_consistent(self) -> bool:
-        """Whether births depend on the mean pinned time: annealed contacts that age at
+        """True if births depend on the mean pinned time: annealed contacts that age at
         a finite rate."""
         return (
             self.disorder == "annealed"
@@ -148,7 +148,7 @@ class Ensemble:
 
     @property
     def fluctuates(self) -> bool:
-        """Whether thresholds fluctuate while pinned: quenched contacts that age by
+        """True if thresholds fluctuate while pinned: quenched contacts that age by
         `langevin`."""
         return (
             self.disorder == "quenched"
@@ -158,7 +158,7 @@ class Ensemble:
 
     @property
     def divergence(self) -> str:
-        """Why the steady variance of forces is infinite, in a line; empty where it is
+        """Reason why the steady variance of forces is infinite, in a line; empty where it is
         finite.
 
         At T = 0 a life contributes k_i^2 xi^3/3. Neither heat nor age shortens the

@@ -67,7 +67,7 @@ class Verdict:
 
 @dataclass(frozen=True, repr=False)
 class Validation:
-    """What a suite found.
+    """Scores and verdicts of a suite.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Validation:
 
     @property
     def passed(self) -> bool:
-        """Whether every kind passes, and the program declined no more of any than it
+        """True if every kind passes, and the program declined no more of any than it
         made."""
         return all(verdict.passed for verdict in self.verdicts) and not self.declined
 
