@@ -43,7 +43,7 @@ from eqsim.laws.threshold import Table, ThresholdLaw
 from eqsim.model.drive import Drive, Output, Programme, Segment, Stage, require_drive
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Disorder, Ensemble
-from eqsim.results import Listed
+from eqsim.physical import Listed
 
 Result = TypeVar("Result")
 _DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
