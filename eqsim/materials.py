@@ -124,7 +124,7 @@ class ActivatedAging:
 
 @dataclass(frozen=True, kw_only=True)
 class Material(ABC):
-    """An interface of contacts of one material, base of the classes below.
+    """What the interfaces of this module share.
 
     Every method raises InputError for a temperature (K) that is not a number >= 0.
 

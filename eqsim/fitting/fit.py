@@ -77,7 +77,7 @@ class Goodness(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class FitResult:
-    """Parameters of a model as measurements decide them.
+    """What data say about a model.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class FitResult:
 
     @property
     def seed(self) -> int:
-        """Seed of starts and posterior."""
+        """What draws starts and posterior."""
         return self.file.output.seed
 
     @cached_property
@@ -145,7 +145,7 @@ class FitResult:
 
     @cached_property
     def goodness(self) -> Goodness:
-        """Goodness of the best fit."""
+        """How well the best fit describes the data."""
         return goodness(self.problem, self.best.u)
 
     @cached_property
@@ -156,7 +156,7 @@ class FitResult:
 
     @cached_property
     def intervals(self) -> list[Interval]:
-        """Intervals of each free key, and of scales."""
+        """What is known of each free key, and of scales."""
         sd, found = np.sqrt(np.diag(self.covariance)).tolist(), []
         for one, error in zip(self.problem.parameters, sd, strict=True):
             low, high = self.profiles[one.key]
@@ -171,7 +171,7 @@ class FitResult:
 
     @cached_property
     def warnings(self) -> list[str]:
-        """Doubts about the fit, from before it, and about its numbers."""
+        """What was noticed before the fit, and doubts about its numbers."""
         found, rough = [*self.noticed], []
         if self.floor > _NOISE_FLOOR:
             found.append(
@@ -231,12 +231,12 @@ class FitResult:
 
     @property
     def converged(self) -> bool:
-        """True if any start converged."""
+        """Whether any start did."""
         return any(one.converged for one in self.minima)
 
     @property
     def rejected(self) -> bool:
-        """True if the best fit is too far from the data for their errors."""
+        """Whether the best fit is too far from the data for their errors."""
         return self.goodness.p is not None and self.goodness.p < REJECTED
 
 

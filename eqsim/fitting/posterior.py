@@ -62,12 +62,12 @@ class Posterior:
 
     @property
     def effective(self) -> float:
-        """Number of independent draws that these are worth."""
+        """How many independent draws these are worth."""
         return self.walkers * self.steps / self.autocorrelation
 
     @property
     def converged(self) -> bool:
-        """True if the chain is so long that its autocorrelation time, and so its
+        """Whether the chain is so long that its autocorrelation time, and so its
         quantiles, can be trusted."""
         return self.steps >= _ENOUGH * self.autocorrelation
 
@@ -79,7 +79,7 @@ class Posterior:
 
     @property
     def intervals(self) -> dict[str, dict[str, Any]]:
-        """Medians by key, and ends of the central 68 and 95 %; None if the chain is
+        """By key: median, and the ends of the central 68 and 95 %; None if the chain is
         too short for them."""
         if not self.converged:
             return {

@@ -67,7 +67,7 @@ class Verdict:
 
 @dataclass(frozen=True, repr=False)
 class Validation:
-    """Scores and verdicts of a suite.
+    """What a suite found.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Validation:
 
     @property
     def passed(self) -> bool:
-        """True if every kind passes, and the program declined no more of any than it
+        """Whether every kind passes, and the program declined no more of any than it
         made."""
         return all(verdict.passed for verdict in self.verdicts) and not self.declined
 
