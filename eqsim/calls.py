@@ -22,7 +22,7 @@ from eqsim.io.units import Interface, Quantity, Units, quantities
 from eqsim.master.velocities import Curve
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
-from eqsim.physical import tell_quantities
+from eqsim.results import tell_quantities
 from eqsim.sweeps.plan import Plan
 from eqsim.workflows.fluctuations import default_lag
 
@@ -160,10 +160,7 @@ def accepts_changes(function: Callable[Concatenate[F, P], R]) -> FileCall[F, P, 
             file = file | changes
         elif changes:
             file = opened(file, changes=changes)
-        found: Any = function(file, *args, **given)
-        if isinstance(getattr(found, "file", None), RunFile):
-            tell_quantities(found, found.file.quantities_in)
-        return found
+        return function(file, *args, **given)
 
     return _presented(call, function.__doc__ or "")
 

@@ -1,14 +1,15 @@
 """What results have in common: a version, a short text, a table in notebooks, a
-DataFrame and a picture."""
+DataFrame, a picture, and friction in a laboratory's units."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import fields
 from html import escape
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from eqsim.errors import InputError
 from eqsim.numerics.tables import Array
-from eqsim.physical import Measured
 
 # Version of the numbers that parameters and a seed give: lives, averages, references.
 # Identities and seeds of a sweep's points depend on it. Raise it by one when any of
@@ -33,11 +34,100 @@ class Drawn(NamedTuple):
     dots: bool = False
 
 
-class Result(Measured):
+class Physical(NamedTuple):
+    """A force, shear stress or friction coefficient: its value and standard error,
+    which are arrays along a curve, and its unit."""
+
+    value: Any
+    stderr: Any
+    unit: str
+
+
+# What F/(N k) is, given `units` and `interface`; None is that of the run file.
+Quantities = Callable[[Any, Any], Iterable[Any]]
+
+
+class Listed:
+    """An object whose completion by tab lists what a user means: `dir` names neither
+    private helpers nor what is there for tables and pictures alone."""
+
+    unlisted: ClassVar[tuple[str, ...]] = ("unlisted",)
+
+    def __dir__(self) -> list[str]:
+        every, hidden = super().__dir__(), {*self.unlisted, "unlisted"}
+        return [
+            name
+            for name in every
+            if name not in hidden and (name[0] != "_" or name.startswith("__"))
+        ]
+
+
+class Result(Listed):
     """A frozen dataclass of numbers, estimates and arrays. Those that are curves say in
     `drawn` what they draw."""
 
+    unlisted = ("drawn", "names", "shown")
     drawn: ClassVar[Drawn | None] = None
+    _quantities: ClassVar[Quantities | None] = None  # each result has its own
+
+    def in_units(self, units: Any = None, interface: Any = None) -> dict[str, Physical]:
+        """Give friction F/(N k), a length, as a force, a shear stress and a coefficient,
+        as the command line does. Other numbers are in the units of the run file, or of
+        the ensemble and the drive.
+
+        Parameters
+        ----------
+        units : Units, optional
+            Units of length, time and force; by default those of the run file.
+        interface : Interface, optional
+            Area, contacts per area, and load; by default those of the run file.
+
+        Returns
+        -------
+        dict of Physical
+            `force`, `shear_stress` and `friction_coefficient`, as far as they are known,
+            with `value`, `stderr` (arrays along a curve) and `unit`.
+
+        Raises
+        ------
+        InputError
+            If neither units nor an interface are known.
+        TypeError
+            For a result without a force.
+
+        Examples
+        --------
+        >>> from eqsim import Drive, Ensemble, Interface, Units, reference
+        >>> exact = reference(Ensemble(count=1000, stiffness=2.0), Drive(velocity=0.1))
+        >>> found = exact.in_units(Units(force="N"), Interface(normal_load=5000.0))
+        >>> force, mu = found["force"], found["friction_coefficient"]
+        >>> print(f"{force.value:.1f} {force.unit}, mu = {mu.value:.3f}")
+        1767.8 N, mu = 0.354
+        """
+        value, stderr = self._force()
+        told: Any = self._quantities
+        found = list(told(units, interface)) if told else []
+        if not found:
+            raise InputError(
+                "in_units: neither a unit of force nor an interface is known; give "
+                "Units(...) and Interface(...), or a run file with [units]"
+            )
+        return {
+            one.name: Physical(
+                None if value is None else one.factor * value,
+                None if stderr is None else one.factor * stderr,
+                one.unit,
+            )
+            for one in found
+        }
+
+    def _force(self) -> tuple[Any, Any]:
+        """F/(N k) and its standard error, arrays of a curve."""
+        if self.drawn is not None and self.drawn.y in ("force", "friction"):
+            return getattr(self, self.drawn.y), getattr(self, self.drawn.error)
+        if self.drawn is None and hasattr(self, "friction"):
+            return self.friction.value, self.friction.stderr
+        raise TypeError(f"{type(self).__name__} has no force F/(N k)")
 
     def columns(self) -> dict[str, Array]:
         """Its arrays of one length by name."""
@@ -187,6 +277,16 @@ class Result(Measured):
         )
 
 
+def tell_quantities(result: Any, quantities: Quantities) -> None:
+    """Let a result and its parts know what F/(N k) is."""
+    if isinstance(result, Result):
+        object.__setattr__(result, "_quantities", quantities)
+    for field in fields(result):
+        part = getattr(result, field.name)
+        if isinstance(part, Result):
+            tell_quantities(part, quantities)
+
+
 def new_axes(**size: Any) -> Any:
     """Axes of a new figure, as `plot` of a result begins one."""
     from matplotlib import pyplot
@@ -206,13 +306,21 @@ def _with_symbol(label: str) -> str:
     )
 
 
-class OfTrajectory:
+class OfTrajectory(Listed):
     """A result of a run `file` that is shown by its `trajectory`, and drawn with the
     `exact` mean, if there is one, which is a result or None and why."""
 
     file: Any
     trajectory: Any
     exact: Any = (None, "")
+
+    def __post_init__(self) -> None:
+        tell_quantities(self, self.file.quantities_in)
+
+    def in_units(self, units: Any = None, interface: Any = None) -> dict[str, Physical]:
+        """The force of the trajectory as `Result.in_units` gives it."""
+        found: dict[str, Physical] = self.trajectory.in_units(units, interface)
+        return found
 
     @property
     def folder(self) -> Any:

@@ -241,7 +241,7 @@ def test_units_are_those_of_the_command_line(path):
         ]
     run = eqsim.run(path)
     factor = 200 * 2.0  # N k
-    for record in (run.trajectory, eqsim.trajectory(path)):
+    for record in (run, run.trajectory, eqsim.trajectory(path)):
         force = record.in_units()["force"]
         assert force.value == pytest.approx(
             factor * run.trajectory.force, rel=1e-12, abs=0
@@ -269,7 +269,7 @@ def test_completion_lists_what_is_meant(path):
         *("drive", "ensemble", "fit", "folder", "given", "interface", "output"),
         *("quantities", "settings", "sweep", "text", "title", "units", "with_changes"),
     }
-    for result in (reference(path), eqsim.transient(path)):
+    for result in (reference(path), eqsim.transient(path), eqsim.run(path)):
         shown = {name for name in dir(result) if not name.startswith("__")}
         assert {"plot", "to_pandas", "in_units"} <= shown
         assert not {name for name in shown if name.startswith("_")}

@@ -43,7 +43,7 @@ from eqsim.laws.threshold import Table, ThresholdLaw
 from eqsim.model.drive import Drive, Output, Programme, Segment, Stage, require_drive
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Disorder, Ensemble
-from eqsim.physical import Listed
+from eqsim.results import Listed
 
 Result = TypeVar("Result")
 _DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
@@ -178,7 +178,7 @@ class RunFile(Listed):
 
     @property
     def title(self) -> str:
-        """Title above tables and pictures."""
+        """Shown above tables and pictures."""
         return str(self.settings["title"])
 
     @property
@@ -199,13 +199,13 @@ class RunFile(Listed):
 
     @cached_property
     def interface(self) -> Interface:
-        """Interface that the contacts stand for. Raises InputError."""
+        """What the contacts stand for. Raises InputError."""
         with under("interface"):
             return Interface(**self.settings["interface"])
 
     @cached_property
     def output(self) -> Output:
-        """Points, seed, replicas and files of a run. Raises InputError."""
+        """How a run is recorded. Raises InputError."""
         with under("output"):
             output = Output(**self.settings["output"])
         for name in ("series", "breaks"):
@@ -305,7 +305,7 @@ class RunFile(Listed):
 
     @cached_property
     def drive(self) -> Drive | Programme:
-        """Drive or programme of the slider. Raises InputError."""
+        """How the slider moves. Raises InputError."""
         given = self.settings["drive"]
         if not self.constant:
             return self._programme()
@@ -401,8 +401,8 @@ class RunFile(Listed):
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """Factors that make of friction a force, a shear stress and a coefficient, as
-        far as they are known."""
+        """What friction is as a force, a shear stress and a coefficient, as far as that
+        is known."""
         return self.quantities_in()
 
     def quantities_in(
