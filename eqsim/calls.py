@@ -119,7 +119,7 @@ def accepts_run_file(
         # `velocity` is what the drive of `fresh_slip` was called
         for name in (second, "velocity"):
             drive = given.pop(name, drive)
-        if isinstance(source, RunFile | Path | str):
+        if isinstance(source, (RunFile, Path, str)):
             if isinstance(drive, dict):
                 drive, changes = None, drive
             file = opened(source, changes=changes)

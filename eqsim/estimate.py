@@ -48,7 +48,7 @@ class Estimate:
         return self.value is not None and math.isinf(self.value)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON, where nothing is infinite: such a value is None."""
+        """Fields by name for JSON, where nothing is infinite: such a value is None."""
         return {**asdict(self), "value": None if self.diverges else self.value}
 
     def __str__(self) -> str:

@@ -793,6 +793,14 @@ MISTAKES = [
       "isinstance(value, int)", "test_runfile.py::test_integers_are_integers"),
     M("errors: bounds that are not above", "errors.py", "(above is None or value > above)",
       "(above is None or value >= above)", "test_runfile.py::test_bounds_of_numbers"),
+    M("calls: options of a run file are not heeded", "calls.py", "for x in options if x not in known",
+      "for x in options if x in known", "test_api.py::test_a_run_file_is_its_contacts_and_drive"),
+    M("calls: the drive of a run file wins", "calls.py", "drive = drive_of(file) if drive is None else drive",
+      "drive = drive_of(file)", "test_api.py::test_a_drive_in_the_place_of_the_drive_of_a_run_file"),
+    M("results: errors are not converted", "results.py", "None if stderr is None else one.factor * stderr",
+      "stderr", "test_api.py::test_units_are_those_of_the_command_line"),
+    M("results: parts are not told units", "results.py", "            tell_quantities(part, quantities)",
+      "            continue", "test_api.py::test_units_are_those_of_the_command_line"),
 ]
 # fmt: on
 

@@ -121,14 +121,14 @@ class Segment:
 
     @property
     def duration(self) -> float:
-        """Its time."""
+        """Duration (time)."""
         if self.distance is None:
             return self.time or 0.0
         return self.distance / abs(self.velocity)
 
     @property
     def path(self) -> float:
-        """Length of the slider's path, whatever the direction."""
+        """Length of the path (length), whatever the direction."""
         if self.distance is None:
             return abs(self.velocity) * (self.time or 0.0)
         return self.distance

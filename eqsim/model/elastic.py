@@ -85,7 +85,7 @@ class Elastic:
 
     @property
     def count(self) -> int:
-        """B."""
+        """Number of blocks B."""
         return self.shape[0] * self.shape[1]
 
     @property

@@ -141,7 +141,7 @@ class Ensemble:
 
     @property
     def divergence(self) -> str:
-        """Why the steady variance of forces is infinite, in a line; empty where it is
+        """Reason why the steady variance of forces is infinite, in a line; empty where it is
         finite.
 
         At T = 0 a life contributes k_i^2 xi^3/3. Neither heat nor age shortens the

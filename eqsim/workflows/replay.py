@@ -56,6 +56,7 @@ class Replay:
 
     @property
     def same(self) -> bool:
+        """True if no column differs."""
         return not self.differences
 
 
