@@ -182,8 +182,7 @@ def run_fluctuations(
     ensemble, drive = file.ensemble, file.constant_drive
     require_number("--lives", lives, least=0.0, most=1e10)
     if lag is None:
-        means = reference(ensemble, drive)
-        lag = _CYCLES * known(means.travel) / known(means.pinned)
+        lag = default_lag(ensemble, drive)
     require_number("--lag", lag, above=0.0)
     exact = fluctuations(ensemble, replace(drive, distance=lag), points)
     sample, reason = None, "" if lives else "none asked for"
@@ -195,6 +194,12 @@ def run_fluctuations(
             reason = str(error)
     asked = {"lag": lag, "points": points, "lives": lives}
     return FluctuationsResult(file, exact, sample, reason, asked)
+
+
+def default_lag(ensemble: Ensemble, drive: Drive) -> float:
+    """Five mean cycles of pinned and detached (length)."""
+    means = reference(ensemble, drive)
+    return _CYCLES * known(means.travel) / known(means.pinned)
 
 
 def sampled(

@@ -9,7 +9,6 @@ from math import isnan, nan
 from pathlib import Path
 from typing import Any
 
-from eqsim import validation
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.export import RENAMED_COLUMNS
@@ -19,6 +18,7 @@ from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked
 from eqsim.sweeps.scheduler import sweep
 from eqsim.sweeps.workers import Workers
+from eqsim.validation import columns, validate
 from eqsim.workflows.curve import curve
 from eqsim.workflows.fluctuations import run_fluctuations
 from eqsim.workflows.report import Progress
@@ -202,8 +202,8 @@ def _validate(
     origin: dict[str, Any], _: Table, workers: int, progress: Progress
 ) -> Table:
     suite, seed = origin["settings"]["suite"], origin["seed"]
-    found = validation.validate(suite, seed=seed, threads=workers, progress=progress)
-    return validation.columns(found.scores)
+    found = validate(suite, seed=seed, threads=workers, progress=progress)
+    return columns(found.scores)
 
 
 def _sweep(
