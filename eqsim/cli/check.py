@@ -18,6 +18,7 @@ with lazily():
     from eqsim.workflows import replay as repeating
     from eqsim.workflows import validation
 
+_File = Argument(metavar="FILE", help="Parquet file that eqsim wrote.")
 _SUITE = '"quick" (seconds) or "full" (minutes).'
 _OUT = "Folder for the table of scores and the picture."
 _SEED = "Random seed: other parameter points, other lives."
@@ -51,9 +52,7 @@ def validate(
 
 
 def replay(
-    path: Annotated[
-        Path, Argument(metavar="FILE", help="Parquet file that eqsim wrote.")
-    ],
+    path: Annotated[Path, _File],
     threads: Threads = None,
     *,
     shown: Shown,

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from typer import Exit, Option
 
@@ -33,9 +33,9 @@ _POSTERIOR = (
 )
 _Data = Option(metavar="DATA.csv", help="Measurements, instead of fit.data.")
 _Fitted = Option("--fit", metavar="DIR", help="Folder of the fit.", show_default=False)
-_Key = Option(
-    "--for", metavar="KEY", help="The key to be known better.", show_default=False
-)
+_KEY = "The key to be known better."
+_Key = Option("--for", metavar="KEY", help=_KEY, show_default=False)
+_Kelvin = Option(metavar="LOW,HIGH", help=_TEMPERATURE)
 _Next = Option("--next", help="How many measurements, one after the other.")
 _EXPECTED = (
     "expected by the Fisher information at the best fit, for errors like those of the "
@@ -76,15 +76,9 @@ def fit(
         require_package("posterior", "emcee", "corner")
     other = None if options.compare is None else runfile.load(options.compare)
     with shown.bar("fitting", "fits") as progress:
-        found = fitting.fit(
-            file,
-            data=options.data,
-            starts=options.starts,
-            workers=count,
-            allow_degenerate=options.allow_degenerate,
-            keep=out,
-            progress=progress,
-        )
+        how: dict[str, Any] = {"allow_degenerate": options.allow_degenerate}
+        how |= {"workers": count, "keep": out, "progress": progress}
+        found = fitting.fit(file, data=options.data, starts=options.starts, **how)
         rival = None
         if other is not None:
             rival = fitting.compared(found, other, options.starts)
@@ -118,9 +112,7 @@ class DesignOptions:
     key: Annotated[str, _Key]
     count: Annotated[int, _Next] = 4
     velocity: Annotated[str | None, Option(metavar="LOW,HIGH", help=_VELOCITY)] = None
-    temperature: Annotated[
-        str | None, Option(metavar="LOW,HIGH", help=_TEMPERATURE)
-    ] = None
+    temperature: Annotated[str | None, _Kelvin] = None
 
     def limits(self, name: str) -> "designing.Limits | None":
         """The ends of an option that is a range."""
@@ -130,9 +122,8 @@ class DesignOptions:
         try:
             low, high = (float(part) for part in text.split(","))
         except ValueError:
-            raise InputError(
-                f"--{name} {text}: must be two numbers, LOW,HIGH"
-            ) from None
+            said = "must be two numbers, LOW,HIGH"
+            raise InputError(f"--{name} {text}: {said}") from None
         return designing.Limits(low, high)
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from typer import Option
 
@@ -81,13 +81,8 @@ def run(
     storage.check_folder(folder)
     count, workers, formats = cores(threads), split.chosen(), pictured(format_)
     with shown.bar("simulating", "lives") as progress:
-        found = running.run(
-            file,
-            threads=count,
-            workers=workers,
-            max_lives=max_lives,
-            progress=progress,
-        )
+        how: dict[str, Any] = {"max_lives": max_lives, "progress": progress}
+        found = running.run(file, threads=count, workers=workers, **how)
     shown.doubt(file.ensemble, file.drive)
     shown.result(found, path.stem, folder, formats)
 
@@ -105,13 +100,10 @@ def steady(
     error."""
     file = changes.load(path)
     with shown.bar("simulating", "lives") as progress:
-        found = averages.simulated(
-            file,
-            rel_error=rel_error,
-            threads=cores(threads),
-            max_lives=max_lives,
-            progress=terminal.announcing(progress, shown.note),
-        )
+        announced = terminal.announcing(progress, shown.note)
+        how: dict[str, Any] = {"max_lives": max_lives, "progress": announced}
+        how |= {"rel_error": rel_error, "threads": cores(threads)}
+        found = averages.simulated(file, **how)
     shown.doubt(file.ensemble)
     if not found.steady.reached and not shown.quiet:
         complain(f"relative error {rel_error:g} was not reached")
@@ -168,9 +160,8 @@ def fluctuations(
     require_integer("--points", points, 2, 10_000)
     if out is not None:
         storage.check_folder(out)
-    found = fluctuating.run_fluctuations(
-        file, lag=lag, points=points, lives=lives, threads=count
-    )
+    how: dict[str, Any] = {"lag": lag, "points": points, "lives": lives}
+    found = fluctuating.run_fluctuations(file, **how, threads=count)
     shown.result(found, path.stem, out)
 
 

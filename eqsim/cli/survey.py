@@ -7,15 +7,8 @@ from typing import Annotated
 
 from typer import Argument, Exit, Option
 
-from eqsim.cli.options import (
-    Changes,
-    Processes,
-    RunFilePath,
-    Shown,
-    complain,
-    cores,
-    typed,
-)
+from eqsim.cli import options as shared
+from eqsim.cli.options import Changes, RunFilePath, Shown, complain, cores
 from eqsim.errors import InputError, require_integer
 from eqsim.io import signals, storage
 from eqsim.lazy import lazily
@@ -42,7 +35,7 @@ class SweepOptions:
 
     rel_error: Annotated[float, Option(help=_REL_ERROR)] = 1e-2
     transient: Annotated[bool, Option("--transient", help=_SECOND_HALF)] = False
-    workers: Processes = None
+    workers: shared.Processes = None
     dask: Annotated[str | None, Option(metavar="ADDRESS", help=_DASK)] = None
 
     def chosen(self, threads: int | None) -> "pools.Workers":
@@ -96,7 +89,7 @@ def sweep(
     shown.report(data, notes=found.told(out))
     for failure in failures if not shown.json else []:
         values = ", ".join(f"{key} = {x}" for key, x in failure["changes"].items())
-        message = typed(failure["message"])
+        message = shared.typed(failure["message"])
         complain(f"point {failure['point']} ({values}) failed: {message}")
     if found.failed:
         raise Exit(1)
@@ -104,25 +97,18 @@ def sweep(
 
 _FOLDER = "Folder of Parquet files, one point a row."
 _PICTURE = "Picture, .png, .pdf or .svg. Default: DIR.png beside DIR."
-_Where = Option(
-    metavar="KEY=VALUE",
-    help="Only points at which a column has this value; repeatable.",
-)
-_By = Option(
-    help="Column of which every value is a series; a second one chooses markers, the first then colours."
-)
-_Log = Option(
-    "--log-x/--linear-x",
-    help="Default: logarithmic above a factor 30.",
-    show_default=False,
-)
+_SERIES = "Column of which every value is a series; a second one chooses markers, the first then colours."
+_AT = "Only points at which a column has this value; repeatable."
+_LOG = "Default: logarithmic above a factor 30."
+_Where = Option(metavar="KEY=VALUE", help=_AT)
+_Log = Option("--log-x/--linear-x", help=_LOG, show_default=False)
 
 
 def plot(
     folder: Annotated[Path, Argument(metavar="DIR", help=_FOLDER)],
     x: Annotated[str, Option(help="Column along the x axis.")] = "drive.velocity",
     y: Annotated[str, Option(help="Column along the y axis.")] = "friction",
-    by: Annotated[list[str] | None, _By] = None,
+    by: Annotated[list[str] | None, Option(help=_SERIES)] = None,
     where: Annotated[list[str] | None, _Where] = None,
     out: Annotated[Path | None, Option(metavar="FILE", help=_PICTURE)] = None,
     log_x: Annotated[bool | None, _Log] = None,

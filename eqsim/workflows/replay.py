@@ -26,10 +26,11 @@ from eqsim.workflows.run import run
 
 _TIMES = ("seconds",)  # columns that no repetition can reproduce
 _UNREADABLE = (OSError, KeyError, ValueError, TypeError, RecursionError)
+Origin = dict[str, Any]  # the provenance of a table
 Table = Any  # a pandas DataFrame, or columns by name
 # Makes a table again, from its provenance, the table, threads or processes, and
 # progress.
-Repeat = Callable[[dict[str, Any], Table, int, Progress], Table]
+Repeat = Callable[[Origin, Table, int, Progress], Table]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +113,7 @@ def replay(
     return Replay(origin["command"], len(table), differences, changed)
 
 
-def _read(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, dict[str, Any]]:
+def _read(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, Origin]:
     """The table of a file, and its provenance."""
     import pyarrow
     from pyarrow import parquet as pq
@@ -163,34 +164,26 @@ def compare(table: Table, again: Table) -> dict[str, tuple[int, float | None]]:
     return found
 
 
-def _run(
-    origin: dict[str, Any], table: Table, workers: int, progress: Progress
-) -> Table:
+def _run(origin: Origin, table: Table, workers: int, progress: Progress) -> Table:
     file = stored(origin["settings"], origin["folder"])
     result = run(file, threads=workers, max_lives=1e300, progress=progress)
     names = set(table)
     return max(result.tables().values(), key=lambda one: len(names & set(one)))
 
 
-def _reference(
-    origin: dict[str, Any], table: Table, _: int, progress: Progress
-) -> Table:
+def _reference(origin: Origin, table: Table, _: int, progress: Progress) -> Table:
     file = stored(origin["settings"], origin["folder"])
     return curve(file, closure="mean_threshold" in table).columns
 
 
-def _fluctuations(
-    origin: dict[str, Any], _: Table, workers: int, progress: Progress
-) -> Table:
+def _fluctuations(origin: Origin, _: Table, workers: int, progress: Progress) -> Table:
     asked = origin["settings"]
     file = stored(asked["run"], origin["folder"])
     how = {name: asked[name] for name in ("lag", "points", "lives")}
     return run_fluctuations(file, threads=workers, **how).columns()
 
 
-def _stability(
-    origin: dict[str, Any], table: Table, _: int, progress: Progress
-) -> Table:
+def _stability(origin: Origin, table: Table, _: int, progress: Progress) -> Table:
     file = stored(origin["settings"], origin["folder"])
     pulled = pulled_by(file.ensemble, file.drive)
     critical = bool(table["critical_stiffness"].notna().any())
@@ -198,17 +191,13 @@ def _stability(
     return border(pulled, velocities, critical=critical, progress=progress)
 
 
-def _validate(
-    origin: dict[str, Any], _: Table, workers: int, progress: Progress
-) -> Table:
+def _validate(origin: Origin, _: Table, workers: int, progress: Progress) -> Table:
     suite, seed = origin["settings"]["suite"], origin["seed"]
     found = validate(suite, seed=seed, threads=workers, progress=progress)
     return columns(found.scores)
 
 
-def _sweep(
-    origin: dict[str, Any], table: Table, workers: int, progress: Progress
-) -> Table:
+def _sweep(origin: Origin, table: Table, workers: int, progress: Progress) -> Table:
     """With the identities of then, of which seeds are made: they change with the
     version of results."""
     from pyarrow import parquet as pq
