@@ -266,8 +266,8 @@ def posterior_figure(sampled: "Posterior", title: str) -> Figure:
     corner = require_package("posterior", "corner")
     labels = [one.variable_name for one in sampled.problem.parameters]
     size = 2.2 * len(labels) + 0.8
-    figure = Figure(figsize=(size, size))
-    figure.set_layout_engine("none")
+    by_corner: dict[str, Any] = {"layout": "none"}
+    figure = Figure(figsize=(size, size), **by_corner)
     style = {"label_kwargs": {"fontsize": 8}, "color": "C0", "max_n_ticks": 4}
     quantiles = SHARES["95"]
     corner.corner(
