@@ -273,6 +273,8 @@ def posterior_figure(sampled: "Posterior", title: str) -> Figure:
     corner.corner(
         sampled.points, labels=labels, quantiles=quantiles, fig=figure, **style
     )
+    for panel in figure.axes:
+        panel.grid(False)
     heading = f"{title}: posterior".removeprefix(": ") + " (dashed: 95 %)"
     figure.suptitle(plain(heading))
     return figure
