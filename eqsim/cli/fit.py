@@ -18,9 +18,9 @@ with lazily():
     from eqsim.fitting import posterior, report
     from eqsim.io import runfile
 
-_OUT = "Folder for fit.json, tables, pictures and the best fit's run file."
+_FIT_FOLDER = "Folder for fit.json, tables, pictures and the best fit's run file."
 _ALLOW = "Fit also what the data cannot separate, with a warning."
-_VELOCITY = (
+_VELOCITY_RANGE = (
     "Within these limits. Default: up to ten times beyond the velocities of the data."
 )
 _TEMPERATURE = "Within these limits, in kelvin. Default: the temperatures of the data."
@@ -56,7 +56,7 @@ class FitOptions:
 
 def fit(
     path: RunFilePath,
-    out: Annotated[Path, Option(help=_OUT)],
+    out: Annotated[Path, Option(help=_FIT_FOLDER)],
     options: FitOptions,
     changes: Changes,
     workers: Processes = None,
@@ -96,7 +96,7 @@ def fit(
     shown.report(
         data,
         title=file.title or path.stem,
-        columns=report.COLUMNS,
+        columns=report.KEY_COLUMNS,
         rows=report.rows(found),
         notes=[*lines, f"{out}/: {', '.join(files)}"],
     )
@@ -111,7 +111,9 @@ class DesignOptions:
     fitted: Annotated[Path, _Fitted]
     key: Annotated[str, _Key]
     count: Annotated[int, _Next] = 4
-    velocity: Annotated[str | None, Option(metavar="LOW,HIGH", help=_VELOCITY)] = None
+    velocity: Annotated[
+        str | None, Option(metavar="LOW,HIGH", help=_VELOCITY_RANGE)
+    ] = None
     temperature: Annotated[str | None, _Kelvin] = None
 
     def limits(self, name: str) -> "designing.Limits | None":

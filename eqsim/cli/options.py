@@ -43,16 +43,16 @@ _FORMATS = "Pictures also as pdf or svg, beside png; repeatable."
 _Format = Option("--format", metavar="FORMAT", help=_FORMATS)
 Formats = Annotated[list[str] | None, _Format]
 _CHANGE = "Change a key of the run file, as section.key=value; repeatable."
-_SEED = "Random seed, instead of the run file's."
-_Set = Option("--set", metavar="KEY=VALUE", help=_CHANGE)
+_OTHER_SEED = "Random seed, instead of the run file's."
+_SetKey = Option("--set", metavar="KEY=VALUE", help=_CHANGE)
 
 
 @dataclass(frozen=True)
 class Changes:
     """What the command line changes in a run file."""
 
-    set_: Annotated[list[str] | None, _Set] = None
-    seed: Annotated[int | None, Option(help=_SEED)] = None
+    set_: Annotated[list[str] | None, _SetKey] = None
+    seed: Annotated[int | None, Option(help=_OTHER_SEED)] = None
 
     def given(self) -> dict[str, tuple[Any, str]]:
         """Value and option by key."""

@@ -31,17 +31,17 @@ with lazily():
 
 F_K = "f_k: F/(N_c k), the elastic force per pinned contact, the f_k of the paper; friction is F/(N k)."
 PEAK = "peak_force, peak_X: the static peak, the first maximum of the force after a fresh start."
-_OUT = "Results folder. Default: out/NAME beside the run file."
+_RESULTS = "Results folder. Default: out/NAME beside the run file."
 _WORKERS = "Split the ensemble over so many processes: the same bits."
-_DASK = "Split the ensemble over a dask cluster, by its scheduler's address or file: the same bits."
-_REL_ERROR = "Relative standard error of all observables."
-_TRANSIENT = "F(X) and pinned(X) from the run's start."
+_SPLIT_DASK = "Split the ensemble over a dask cluster, by its scheduler's address or file: the same bits."
+_PRECISION = "Relative standard error of all observables."
+_FROM_THE_START = "F(X) and pinned(X) from the run's start."
 _CLOSURE = "F(X) of annealed contacts whose pool of thresholds ages from newborn."
 _CURVE = "Folder for table and picture of --transient or --closure. Default: out/NAME beside the run file."
 
 _VARIANCE = "Folder for fluctuations.parquet, summary.json and a picture."
 _LAG = "Greatest lag. Default: five mean cycles of pinned and detached."
-_LIVES = "About how many lives are simulated; 0: none."
+_SAMPLED_LIVES = "About how many lives are simulated; 0: none."
 _BORDERS = "Folder for the borders over velocity: a table, a picture and summary.json."
 _CRITICAL = "Look for the critical stiffness of steady sliding also where it takes minutes, with heat or aging."
 
@@ -51,7 +51,7 @@ class Split:
     """Who simulates the contacts, if not threads of this process."""
 
     workers: Annotated[int | None, Option(help=_WORKERS)] = None
-    dask: Annotated[str | None, Option(metavar="ADDRESS", help=_DASK)] = None
+    dask: Annotated[str | None, Option(metavar="ADDRESS", help=_SPLIT_DASK)] = None
 
     def chosen(self) -> "pools.Workers | None":
         if self.workers is not None and self.dask is not None:
@@ -65,7 +65,7 @@ class Split:
 
 def run(
     path: RunFilePath,
-    out: Annotated[Path | None, Option(help=_OUT)] = None,
+    out: Annotated[Path | None, Option(help=_RESULTS)] = None,
     *,
     changes: Changes,
     threads: Threads = None,
@@ -89,7 +89,7 @@ def run(
 
 def steady(
     path: RunFilePath,
-    rel_error: Annotated[float, Option(help=_REL_ERROR)] = 1e-3,
+    rel_error: Annotated[float, Option(help=_PRECISION)] = 1e-3,
     *,
     changes: Changes,
     threads: Threads = None,
@@ -112,7 +112,7 @@ def steady(
 
 def reference(
     path: RunFilePath,
-    transient: Annotated[bool, Option("--transient", help=_TRANSIENT)] = False,
+    transient: Annotated[bool, Option("--transient", help=_FROM_THE_START)] = False,
     closure: Annotated[bool, Option("--closure", help=_CLOSURE)] = False,
     out: Annotated[Path | None, Option(help=_CURVE)] = None,
     *,
@@ -148,7 +148,7 @@ def fluctuations(
     out: Annotated[Path | None, Option(help=_VARIANCE)] = None,
     lag: Annotated[float | None, Option(help=_LAG, show_default=False)] = None,
     points: Annotated[int, Option(help="Lags, from 0 on.")] = 101,
-    lives: Annotated[float, Option(help=_LIVES, show_default="1e6")] = 1e6,
+    lives: Annotated[float, Option(help=_SAMPLED_LIVES, show_default="1e6")] = 1e6,
     *,
     changes: Changes,
     threads: Threads = None,

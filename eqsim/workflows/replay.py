@@ -92,7 +92,7 @@ def replay(
         If the file is none of eqsim's, or what made it cannot be repeated.
     """
     known = {**_REPEAT, **(others or {})}
-    table, origin = _read(path, known)
+    table, origin = _replayed_table(path, known)
     import pandas as pd
 
     try:
@@ -113,7 +113,7 @@ def replay(
     return Replay(origin["command"], len(table), differences, changed)
 
 
-def _read(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, Origin]:
+def _replayed_table(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, Origin]:
     """The table of a file, and its provenance."""
     import pyarrow
     from pyarrow import parquet as pq
