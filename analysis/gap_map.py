@@ -59,6 +59,7 @@ def picture(frame: pd.DataFrame) -> Figure:
         grid = frame[frame.stiffness_law == law].pivot(
             index="kT", columns="velocity", values="ratio"
         )
+        axes.grid(False)
         mesh = axes.pcolormesh(
             grid.columns,
             grid.index,

@@ -14,17 +14,15 @@ if TYPE_CHECKING:
     __version__: str
 else:
     from importlib import import_module, metadata
+    from importlib.util import find_spec
 
     def __getattr__(name):
         if name == "__version__":
             return metadata.version("eqsim")
-        if name in ("catalogue", "materials"):
+        if not name.startswith("_") and find_spec(f"eqsim.{name}"):
             return import_module(f"eqsim.{name}")
-        public = (
-            vars(import_module("eqsim.api"))
-            if name == "__all__" or not name.startswith("__")
-            else {}
-        )
+        private = name.startswith("__") and name != "__all__"
+        public = {} if private else vars(import_module("eqsim.api"))
         if name not in ("__all__", *public.get("__all__", ())):
             raise AttributeError(f"module 'eqsim' has no attribute {name!r}")
         return public[name]

@@ -65,14 +65,14 @@ def _fail(message: str, code: int) -> NoReturn:
     raise typer.Exit(code)
 
 
-def _version(asked: bool) -> None:
+def _show_version(asked: bool) -> None:
     if asked:
         print(f"eqsim {version('eqsim')}")
         raise typer.Exit
 
 
 _Version = typer.Option(
-    "--version", callback=_version, is_eager=True, help="Show the version."
+    "--version", callback=_show_version, is_eager=True, help="Show the version."
 )
 
 
@@ -107,7 +107,7 @@ register(app, simulate.reference, ERROR, simulate.F_K)
 register(app, simulate.fluctuations)
 register(app, simulate.stability)
 register(app, check.validate, Z)
-register(app, survey.sweep, survey.COLUMNS, STDERR, ERROR, Z)
+register(app, survey.sweep, survey.COLUMN_ENDS, STDERR, ERROR, Z)
 register(app, fit.fit)
 register(app, fit.design)
 register(app, describe.info)

@@ -18,17 +18,18 @@ with lazily():
     from eqsim.workflows import replay as repeating
     from eqsim.workflows import validation
 
+_File = Argument(metavar="FILE", help="Parquet file that eqsim wrote.")
 _SUITE = '"quick" (seconds) or "full" (minutes).'
-_OUT = "Folder for the table of scores and the picture."
-_SEED = "Random seed: other parameter points, other lives."
-_TABLE = "Parquet file, or the folder of a run, sweep or fit."
+_SCORES = "Folder for the table of scores and the picture."
+_SUITE_SEED = "Random seed: other parameter points, other lives."
+_PARQUET = "Parquet file, or the folder of a run, sweep or fit."
 _CSV = "Of several tables their folder. Default: NAME.csv beside NAME.parquet, DIR.csv beside the folder of a sweep."
 
 
 def validate(
     suite: Annotated[str, Argument(help=_SUITE)] = "quick",
-    out: Annotated[Path, Option(help=_OUT)] = Path("runs/out/validation"),
-    seed: Annotated[int, Option(help=_SEED)] = 1,
+    out: Annotated[Path, Option(help=_SCORES)] = Path("runs/out/validation"),
+    seed: Annotated[int, Option(help=_SUITE_SEED)] = 1,
     threads: Threads = None,
     *,
     shown: Shown,
@@ -51,9 +52,7 @@ def validate(
 
 
 def replay(
-    path: Annotated[
-        Path, Argument(metavar="FILE", help="Parquet file that eqsim wrote.")
-    ],
+    path: Annotated[Path, _File],
     threads: Threads = None,
     *,
     shown: Shown,
@@ -86,7 +85,7 @@ def _compared(path: Path, found: "repeating.Replay") -> Iterator[str]:
 
 
 def export(
-    path: Annotated[Path, Argument(metavar="PATH", help=_TABLE)],
+    path: Annotated[Path, Argument(metavar="PATH", help=_PARQUET)],
     out: Annotated[Path | None, Option(metavar="FILE.csv", help=_CSV)] = None,
     *,
     shown: Shown,

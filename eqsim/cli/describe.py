@@ -22,11 +22,11 @@ with lazily():
 _PRESETS = '"steel", "octamethylcyclotetrasiloxane" ("omcts")'
 _NAME = f"{_PRESETS}, or MINE.toml, a file of constants."
 _CONSTANT = "Change a constant, or give those of a material of kind rough or islands; repeatable."
-_KELVIN = "Kelvin. Default: 289.7, kT = 4e-21 J as in the paper."
-_VELOCITY = "Of the run file, m/s. Default: v_* at 289.7 K, at any temperature."
+_AT_KELVIN = "Kelvin. Default: 289.7, kT = 4e-21 J as in the paper."
+_RUN_VELOCITY = "Of the run file, m/s. Default: v_* at 289.7 K, at any temperature."
 _DISORDER = 'Of the run file. Default: "quenched".'
 _NO_WALLS = "no elastic correlation length a^2 E/k: E of the walls is not given"
-_Set = Option("--set", metavar="KEY=VALUE", help=_CONSTANT)
+_SetConstant = Option("--set", metavar="KEY=VALUE", help=_CONSTANT)
 
 
 def info(
@@ -55,11 +55,11 @@ def info(
 
 def material(
     name: Annotated[str, Argument(metavar="NAME", help=_NAME)],
-    temperature: Annotated[float | None, Option(help=_KELVIN)] = None,
+    temperature: Annotated[float | None, Option(help=_AT_KELVIN)] = None,
     toml: Annotated[bool, Option("--toml", help="Print a run file instead.")] = False,
     disorder: Annotated[str | None, Option(help=_DISORDER)] = None,
-    velocity: Annotated[float | None, Option(help=_VELOCITY)] = None,
-    set_: Annotated[list[str] | None, _Set] = None,
+    velocity: Annotated[float | None, Option(help=_RUN_VELOCITY)] = None,
+    set_: Annotated[list[str] | None, _SetConstant] = None,
     *,
     shown: Shown,
 ) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from typer import Exit, Option
 
@@ -18,9 +18,9 @@ with lazily():
     from eqsim.fitting import posterior, report
     from eqsim.io import runfile
 
-_OUT = "Folder for fit.json, tables, pictures and the best fit's run file."
+_FIT_FOLDER = "Folder for fit.json, tables, pictures and the best fit's run file."
 _ALLOW = "Fit also what the data cannot separate, with a warning."
-_VELOCITY = (
+_VELOCITY_RANGE = (
     "Within these limits. Default: up to ten times beyond the velocities of the data."
 )
 _TEMPERATURE = "Within these limits, in kelvin. Default: the temperatures of the data."
@@ -33,9 +33,9 @@ _POSTERIOR = (
 )
 _Data = Option(metavar="DATA.csv", help="Measurements, instead of fit.data.")
 _Fitted = Option("--fit", metavar="DIR", help="Folder of the fit.", show_default=False)
-_Key = Option(
-    "--for", metavar="KEY", help="The key to be known better.", show_default=False
-)
+_KEY = "The key to be known better."
+_Key = Option("--for", metavar="KEY", help=_KEY, show_default=False)
+_Kelvin = Option(metavar="LOW,HIGH", help=_TEMPERATURE)
 _Next = Option("--next", help="How many measurements, one after the other.")
 _EXPECTED = (
     "expected by the Fisher information at the best fit, for errors like those of the "
@@ -56,7 +56,7 @@ class FitOptions:
 
 def fit(
     path: RunFilePath,
-    out: Annotated[Path, Option(help=_OUT)],
+    out: Annotated[Path, Option(help=_FIT_FOLDER)],
     options: FitOptions,
     changes: Changes,
     workers: Processes = None,
@@ -76,15 +76,9 @@ def fit(
         require_package("posterior", "emcee", "corner")
     other = None if options.compare is None else runfile.load(options.compare)
     with shown.bar("fitting", "fits") as progress:
-        found = fitting.fit(
-            file,
-            data=options.data,
-            starts=options.starts,
-            workers=count,
-            allow_degenerate=options.allow_degenerate,
-            keep=out,
-            progress=progress,
-        )
+        how: dict[str, Any] = {"allow_degenerate": options.allow_degenerate}
+        how |= {"workers": count, "keep": out, "progress": progress}
+        found = fitting.fit(file, data=options.data, starts=options.starts, **how)
         rival = None
         if other is not None:
             rival = fitting.compared(found, other, options.starts)
@@ -102,7 +96,7 @@ def fit(
     shown.report(
         data,
         title=file.title or path.stem,
-        columns=report.COLUMNS,
+        columns=report.KEY_COLUMNS,
         rows=report.rows(found),
         notes=[*lines, f"{out}/: {', '.join(files)}"],
     )
@@ -117,10 +111,10 @@ class DesignOptions:
     fitted: Annotated[Path, _Fitted]
     key: Annotated[str, _Key]
     count: Annotated[int, _Next] = 4
-    velocity: Annotated[str | None, Option(metavar="LOW,HIGH", help=_VELOCITY)] = None
-    temperature: Annotated[
-        str | None, Option(metavar="LOW,HIGH", help=_TEMPERATURE)
+    velocity: Annotated[
+        str | None, Option(metavar="LOW,HIGH", help=_VELOCITY_RANGE)
     ] = None
+    temperature: Annotated[str | None, _Kelvin] = None
 
     def limits(self, name: str) -> "designing.Limits | None":
         """The ends of an option that is a range."""
@@ -130,9 +124,8 @@ class DesignOptions:
         try:
             low, high = (float(part) for part in text.split(","))
         except ValueError:
-            raise InputError(
-                f"--{name} {text}: must be two numbers, LOW,HIGH"
-            ) from None
+            said = "must be two numbers, LOW,HIGH"
+            raise InputError(f"--{name} {text}: {said}") from None
         return designing.Limits(low, high)
 
 

@@ -25,6 +25,7 @@ with lazily():
     from eqsim.model import groups
     from eqsim.workflows import report as results
 
+Progress = Callable[[int, float], None]
 RunFilePath = Annotated[
     Path, Argument(metavar="RUN.toml", help="Run file.", show_default=False)
 ]
@@ -34,31 +35,24 @@ Threads = Annotated[
 Processes = Annotated[
     int | None, Option(help="Processes on this machine. Default: all cores.")
 ]
-MaxLives = Annotated[
-    float,
-    Option(help="Refuse work that needs more lives than this.", show_default="1e10"),
-]
-_Format = Option(
-    "--format",
-    metavar="FORMAT",
-    help="Pictures also as pdf or svg, beside png; repeatable.",
+_Lives = Option(
+    help="Refuse work that needs more lives than this.", show_default="1e10"
 )
+MaxLives = Annotated[float, _Lives]
+_FORMATS = "Pictures also as pdf or svg, beside png; repeatable."
+_Format = Option("--format", metavar="FORMAT", help=_FORMATS)
 Formats = Annotated[list[str] | None, _Format]
-_Set = Option(
-    "--set",
-    metavar="KEY=VALUE",
-    help="Change a key of the run file, as section.key=value; repeatable.",
-)
+_CHANGE = "Change a key of the run file, as section.key=value; repeatable."
+_OTHER_SEED = "Random seed, instead of the run file's."
+_SetKey = Option("--set", metavar="KEY=VALUE", help=_CHANGE)
 
 
 @dataclass(frozen=True)
 class Changes:
     """What the command line changes in a run file."""
 
-    set_: Annotated[list[str] | None, _Set] = None
-    seed: Annotated[
-        int | None, Option(help="Random seed, instead of the run file's.")
-    ] = None
+    set_: Annotated[list[str] | None, _SetKey] = None
+    seed: Annotated[int | None, Option(help=_OTHER_SEED)] = None
 
     def given(self) -> dict[str, tuple[Any, str]]:
         """Value and option by key."""
@@ -93,9 +87,7 @@ class Shown:
     json: Annotated[bool, Option("--json", help="Print JSON for machines.")] = False
     quiet: Annotated[bool, Option("--quiet", help="Print errors only.")] = False
 
-    def bar(
-        self, title: str, unit: str
-    ) -> AbstractContextManager[Callable[[int, float], None]]:
+    def bar(self, title: str, unit: str) -> AbstractContextManager[Progress]:
         """A progress bar, unless there is nobody to see it."""
         return terminal.bar(title, self.quiet or self.json, unit)
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from typer import Option
 
@@ -31,17 +31,17 @@ with lazily():
 
 F_K = "f_k: F/(N_c k), the elastic force per pinned contact, the f_k of the paper; friction is F/(N k)."
 PEAK = "peak_force, peak_X: the static peak, the first maximum of the force after a fresh start."
-_OUT = "Results folder. Default: out/NAME beside the run file."
+_RESULTS = "Results folder. Default: out/NAME beside the run file."
 _WORKERS = "Split the ensemble over so many processes: the same bits."
-_DASK = "Split the ensemble over a dask cluster, by its scheduler's address or file: the same bits."
-_REL_ERROR = "Relative standard error of all observables."
-_TRANSIENT = "F(X) and pinned(X) from the run's start."
+_SPLIT_DASK = "Split the ensemble over a dask cluster, by its scheduler's address or file: the same bits."
+_PRECISION = "Relative standard error of all observables."
+_FROM_THE_START = "F(X) and pinned(X) from the run's start."
 _CLOSURE = "F(X) of annealed contacts whose pool of thresholds ages from newborn."
 _CURVE = "Folder for table and picture of --transient or --closure. Default: out/NAME beside the run file."
 
 _VARIANCE = "Folder for fluctuations.parquet, summary.json and a picture."
 _LAG = "Greatest lag. Default: five mean cycles of pinned and detached."
-_LIVES = "About how many lives are simulated; 0: none."
+_SAMPLED_LIVES = "About how many lives are simulated; 0: none."
 _BORDERS = "Folder for the borders over velocity: a table, a picture and summary.json."
 _CRITICAL = "Look for the critical stiffness of steady sliding also where it takes minutes, with heat or aging."
 
@@ -51,7 +51,7 @@ class Split:
     """Who simulates the contacts, if not threads of this process."""
 
     workers: Annotated[int | None, Option(help=_WORKERS)] = None
-    dask: Annotated[str | None, Option(metavar="ADDRESS", help=_DASK)] = None
+    dask: Annotated[str | None, Option(metavar="ADDRESS", help=_SPLIT_DASK)] = None
 
     def chosen(self) -> "pools.Workers | None":
         if self.workers is not None and self.dask is not None:
@@ -65,7 +65,7 @@ class Split:
 
 def run(
     path: RunFilePath,
-    out: Annotated[Path | None, Option(help=_OUT)] = None,
+    out: Annotated[Path | None, Option(help=_RESULTS)] = None,
     *,
     changes: Changes,
     threads: Threads = None,
@@ -81,20 +81,15 @@ def run(
     storage.check_folder(folder)
     count, workers, formats = cores(threads), split.chosen(), pictured(format_)
     with shown.bar("simulating", "lives") as progress:
-        found = running.run(
-            file,
-            threads=count,
-            workers=workers,
-            max_lives=max_lives,
-            progress=progress,
-        )
+        how: dict[str, Any] = {"max_lives": max_lives, "progress": progress}
+        found = running.run(file, threads=count, workers=workers, **how)
     shown.doubt(file.ensemble, file.drive)
     shown.result(found, path.stem, folder, formats)
 
 
 def steady(
     path: RunFilePath,
-    rel_error: Annotated[float, Option(help=_REL_ERROR)] = 1e-3,
+    rel_error: Annotated[float, Option(help=_PRECISION)] = 1e-3,
     *,
     changes: Changes,
     threads: Threads = None,
@@ -105,13 +100,10 @@ def steady(
     error."""
     file = changes.load(path)
     with shown.bar("simulating", "lives") as progress:
-        found = averages.simulated(
-            file,
-            rel_error=rel_error,
-            threads=cores(threads),
-            max_lives=max_lives,
-            progress=terminal.announcing(progress, shown.note),
-        )
+        announced = terminal.announcing(progress, shown.note)
+        how: dict[str, Any] = {"max_lives": max_lives, "progress": announced}
+        how |= {"rel_error": rel_error, "threads": cores(threads)}
+        found = averages.simulated(file, **how)
     shown.doubt(file.ensemble)
     if not found.steady.reached and not shown.quiet:
         complain(f"relative error {rel_error:g} was not reached")
@@ -120,7 +112,7 @@ def steady(
 
 def reference(
     path: RunFilePath,
-    transient: Annotated[bool, Option("--transient", help=_TRANSIENT)] = False,
+    transient: Annotated[bool, Option("--transient", help=_FROM_THE_START)] = False,
     closure: Annotated[bool, Option("--closure", help=_CLOSURE)] = False,
     out: Annotated[Path | None, Option(help=_CURVE)] = None,
     *,
@@ -156,7 +148,7 @@ def fluctuations(
     out: Annotated[Path | None, Option(help=_VARIANCE)] = None,
     lag: Annotated[float | None, Option(help=_LAG, show_default=False)] = None,
     points: Annotated[int, Option(help="Lags, from 0 on.")] = 101,
-    lives: Annotated[float, Option(help=_LIVES, show_default="1e6")] = 1e6,
+    lives: Annotated[float, Option(help=_SAMPLED_LIVES, show_default="1e6")] = 1e6,
     *,
     changes: Changes,
     threads: Threads = None,
@@ -168,9 +160,8 @@ def fluctuations(
     require_integer("--points", points, 2, 10_000)
     if out is not None:
         storage.check_folder(out)
-    found = fluctuating.run_fluctuations(
-        file, lag=lag, points=points, lives=lives, threads=count
-    )
+    how: dict[str, Any] = {"lag": lag, "points": points, "lives": lives}
+    found = fluctuating.run_fluctuations(file, **how, threads=count)
     shown.result(found, path.stem, out)
 
 

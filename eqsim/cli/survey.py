@@ -7,15 +7,8 @@ from typing import Annotated
 
 from typer import Argument, Exit, Option
 
-from eqsim.cli.options import (
-    Changes,
-    Processes,
-    RunFilePath,
-    Shown,
-    complain,
-    cores,
-    typed,
-)
+from eqsim.cli import options as shared
+from eqsim.cli.options import Changes, RunFilePath, Shown, complain, cores
 from eqsim.errors import InputError, require_integer
 from eqsim.io import signals, storage
 from eqsim.lazy import lazily
@@ -26,24 +19,24 @@ with lazily():
     from eqsim.sweeps import plan, rows, scheduler, store
     from eqsim.sweeps import workers as pools
 
-COLUMNS = "Columns end in _stderr, _reference_error and _z."
+COLUMN_ENDS = "Columns end in _stderr, _reference_error and _z."
 _MOST_FAILURES = 10  # that are told
-_REL_ERROR = "Relative standard error of all observables."
+_POINT_ERROR = "Relative standard error of all observables."
 _SECOND_HALF = "Second half of the run's distance instead of steady averages."
-_DASK = "Scheduler (or its file) of a dask.distributed cluster to compute on."
+_CLUSTER = "Scheduler (or its file) of a dask.distributed cluster to compute on."
 _DATASET = "Folder of the dataset; the same command continues it."
 _THREADS = "Threads per process. Default: cores that are left."
-_Lives = Option(help="Most lives per point.", show_default="1e10")
+_PointLives = Option(help="Most lives per point.", show_default="1e10")
 
 
 @dataclass(frozen=True)
 class SweepOptions:
     """What is computed at each point, and who computes."""
 
-    rel_error: Annotated[float, Option(help=_REL_ERROR)] = 1e-2
+    rel_error: Annotated[float, Option(help=_POINT_ERROR)] = 1e-2
     transient: Annotated[bool, Option("--transient", help=_SECOND_HALF)] = False
-    workers: Processes = None
-    dask: Annotated[str | None, Option(metavar="ADDRESS", help=_DASK)] = None
+    workers: shared.Processes = None
+    dask: Annotated[str | None, Option(metavar="ADDRESS", help=_CLUSTER)] = None
 
     def chosen(self, threads: int | None) -> "pools.Workers":
         """Who computes, each with so many threads. Raises InputError."""
@@ -64,7 +57,7 @@ def sweep(
     options: SweepOptions,
     changes: Changes,
     threads: Annotated[int | None, Option(help=_THREADS)] = None,
-    max_lives: Annotated[float, _Lives] = 1e10,
+    max_lives: Annotated[float, _PointLives] = 1e10,
     *,
     shown: Shown,
 ) -> None:
@@ -96,7 +89,7 @@ def sweep(
     shown.report(data, notes=found.told(out))
     for failure in failures if not shown.json else []:
         values = ", ".join(f"{key} = {x}" for key, x in failure["changes"].items())
-        message = typed(failure["message"])
+        message = shared.typed(failure["message"])
         complain(f"point {failure['point']} ({values}) failed: {message}")
     if found.failed:
         raise Exit(1)
@@ -104,25 +97,18 @@ def sweep(
 
 _FOLDER = "Folder of Parquet files, one point a row."
 _PICTURE = "Picture, .png, .pdf or .svg. Default: DIR.png beside DIR."
-_Where = Option(
-    metavar="KEY=VALUE",
-    help="Only points at which a column has this value; repeatable.",
-)
-_By = Option(
-    help="Column of which every value is a series; a second one chooses markers, the first then colours."
-)
-_Log = Option(
-    "--log-x/--linear-x",
-    help="Default: logarithmic above a factor 30.",
-    show_default=False,
-)
+_BY = "Column of which every value is a series; a second one chooses markers, the first then colours."
+_AT = "Only points at which a column has this value; repeatable."
+_LOG = "Default: logarithmic above a factor 30."
+_Where = Option(metavar="KEY=VALUE", help=_AT)
+_Log = Option("--log-x/--linear-x", help=_LOG, show_default=False)
 
 
 def plot(
     folder: Annotated[Path, Argument(metavar="DIR", help=_FOLDER)],
     x: Annotated[str, Option(help="Column along the x axis.")] = "drive.velocity",
     y: Annotated[str, Option(help="Column along the y axis.")] = "friction",
-    by: Annotated[list[str] | None, _By] = None,
+    by: Annotated[list[str] | None, Option(help=_BY)] = None,
     where: Annotated[list[str] | None, _Where] = None,
     out: Annotated[Path | None, Option(metavar="FILE", help=_PICTURE)] = None,
     log_x: Annotated[bool | None, _Log] = None,

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _BETWEEN = 8
 # Singular values of J below which, relative to the largest, a direction has no effect.
 _NO_EFFECT = 1e-6
-_LABELS = {
+_OBSERVABLE_LABELS = {
     "friction": "friction (unit of the data)",
     "pinned": "pinned fraction",
     "break_stretch": "mean stretch at breaking",
@@ -114,14 +114,14 @@ def _draw_observable(
         below.plot(x.values[members], r[members], **style)
         if x.times or x.velocities:
             dashes = DASHES[number % len(DASHES)]
-            _draw_curve(top, _curve(result, members, x), color, dashes)
+            _draw_curve(top, _fitted_curve(result, members, x), color, dashes)
     value = result.table.value[here]
     if np.all(value > 0) and np.ptp(np.log(value)) > np.log(8.0):
         top.set_yscale("log")
     scores(below, r[here], "residual")
     below.axhline(0, color="0.6", linewidth=0.7)
     below.set_xlabel(x.label)
-    top.set(ylabel=_LABELS[name])
+    top.set(ylabel=_OBSERVABLE_LABELS[name])
     for panel in (top, below) if x.velocities else ():
         panel.set_xscale("log")
     if len(series) > 1:
@@ -150,7 +150,7 @@ class _Curve(NamedTuple):
     sd: Array
 
 
-def _curve(result: "FitResult", members: list[int], x: _Abscissa) -> _Curve:
+def _fitted_curve(result: "FitResult", members: list[int], x: _Abscissa) -> _Curve:
     """The fit along a record, or between the velocities of some measurements."""
     problem = result.problem
     if x.times:
@@ -266,13 +266,15 @@ def posterior_figure(sampled: "Posterior", title: str) -> Figure:
     corner = require_package("posterior", "corner")
     labels = [one.variable_name for one in sampled.problem.parameters]
     size = 2.2 * len(labels) + 0.8
-    figure = Figure(figsize=(size, size))
-    figure.set_layout_engine("none")
+    by_corner: dict[str, Any] = {"layout": "none"}
+    figure = Figure(figsize=(size, size), **by_corner)
     style = {"label_kwargs": {"fontsize": 8}, "color": "C0", "max_n_ticks": 4}
     quantiles = SHARES["95"]
     corner.corner(
         sampled.points, labels=labels, quantiles=quantiles, fig=figure, **style
     )
+    for panel in figure.axes:
+        panel.grid(False)
     heading = f"{title}: posterior".removeprefix(": ") + " (dashed: 95 %)"
     figure.suptitle(plain(heading))
     return figure

@@ -204,6 +204,8 @@ def sample(
     sampler = emcee.EnsembleSampler(
         walkers, best.size, densities, moves=moves, vectorize=True
     )
+    # emcee's wrapper of a function prints a traceback also for Ctrl-C
+    sampler.log_prob_fn = densities
     state = np.random.RandomState(rng.integers(2**32)).get_state()
     begin = _around(problem, best, covariance, rng, walkers)
     progress(0, _MOST)

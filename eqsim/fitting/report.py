@@ -21,7 +21,7 @@ from eqsim.io import storage
 from eqsim.io.runfile import at, copied
 from eqsim.plots.style import saved
 
-COLUMNS = ("key", "estimate", "68 %", "95 %", "status")
+KEY_COLUMNS = ("key", "estimate", "68 %", "95 %", "status")
 
 
 def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, Any]:
@@ -112,7 +112,7 @@ def profiles(result: FitResult) -> dict[str, Any]:
     }
 
 
-def _origin(result: FitResult) -> dict[str, Any]:
+def _fit_origin(result: FitResult) -> dict[str, Any]:
     file = result.file
     return storage.provenance("fit", file.settings, file.text, result.seed, file.folder)
 
@@ -120,7 +120,7 @@ def _origin(result: FitResult) -> dict[str, Any]:
 def write(result: FitResult, out: Path, title: str = "") -> list[str]:
     """Write a results folder; the names of its files. Draws from the posterior of
     another fit are removed."""
-    origin, title = _origin(result), result.file.title or title
+    origin, title = _fit_origin(result), result.file.title or title
     files = {
         "fit.json": storage.to_json(summary(result)).encode(),
         "fitted.parquet": storage.parquet(fitted(result), origin),
@@ -142,7 +142,7 @@ def write_posterior(
     """Add draws from the posterior to a results folder; the names of the new files."""
     figure = pictures.posterior_figure(sampled, result.file.title or title)
     files = {
-        "posterior.parquet": storage.parquet(sampled.columns, _origin(result)),
+        "posterior.parquet": storage.parquet(sampled.columns, _fit_origin(result)),
         "posterior.png": saved(figure),
     }
     said = storage.to_json(summary(result, sampled)).encode()

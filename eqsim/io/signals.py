@@ -22,7 +22,7 @@ _ANSWER = 0.6  # seconds to acknowledge a signal in: ending takes another tenth 
 _LEAVE = 5.0  # seconds after that to write what is finished
 _SHOW_CURSOR = b"\x1b[?25h"  # progress bars hide it
 
-_number = 0  # of the first signal
+_first_signal = 0  # of the first signal
 _acknowledged = threading.Event()
 _deferring: list[None] = []  # an item for each `deferred` block
 _undo: list[Callable[[], None]] = []  # of the `undone` blocks
@@ -47,11 +47,11 @@ def interruptible() -> Iterator[None]:
     try:
         yield
     except BaseException:
-        if not _number or _acknowledged.is_set():
+        if not _first_signal or _acknowledged.is_set():
             raise
     finally:
         _handle(signal.SIG_IGN)
-    if _number and not _acknowledged.is_set():
+    if _first_signal and not _acknowledged.is_set():
         print(f"eqsim: {MESSAGE}", file=sys.stderr)
         sys.exit(acknowledge())
 
@@ -66,14 +66,14 @@ def deferred() -> Iterator[None]:
     """
     block: Any = getattr(signal, "pthread_sigmask", lambda *_: None)
     mask = block(getattr(signal, "SIG_BLOCK", 0), {signal.SIGINT, signal.SIGTERM})
-    before = _number
+    before = _first_signal
     _deferring.append(None)
     try:
         yield
     finally:
         block(getattr(signal, "SIG_SETMASK", 0), mask)
         _deferring.pop()
-        if _number != before and not _deferring:
+        if _first_signal != before and not _deferring:
             raise KeyboardInterrupt
 
 
@@ -90,9 +90,9 @@ def undone(undo: Callable[[], None]) -> Iterator[None]:
 
 def acknowledge() -> int:
     """Let an interrupted process end by itself, in a few seconds; its exit code."""
-    if _number:
+    if _first_signal:
         _acknowledged.set()
-    return 128 + (_number or signal.SIGINT)
+    return 128 + (_first_signal or signal.SIGINT)
 
 
 def _handle(handler: Any) -> None:
@@ -103,16 +103,16 @@ def _handle(handler: Any) -> None:
 
 
 def _on_signal(number: int, _: Any) -> None:
-    global _number
-    if not _number:
-        _number = number
+    global _first_signal
+    if not _first_signal:
+        _first_signal = number
         if not _deferring:
             raise KeyboardInterrupt
 
 
 def _unraisable(unraisable: Any) -> None:
     """Show an exception that nobody can catch, unless it is the interrupt."""
-    if not (_number and issubclass(unraisable.exc_type, KeyboardInterrupt)):
+    if not (_first_signal and issubclass(unraisable.exc_type, KeyboardInterrupt)):
         sys.__unraisablehook__(unraisable)
 
 
@@ -137,7 +137,7 @@ def _watch(arrived: int) -> NoReturn:
 def _leave() -> None:
     """End an interrupted process before Python takes itself apart under threads that
     still compile."""
-    if _number:
+    if _first_signal:
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError):
                 stream.flush()

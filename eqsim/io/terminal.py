@@ -21,10 +21,15 @@ from rich.text import Text
 from eqsim.io.storage import to_json
 from eqsim.numerics.kernel_folder import compiling_since
 
-_LONG = 20.0  # seconds from which on the time left is announced
+_LONG_ATTEMPT = 20.0  # seconds from which on the time left is announced
 _COMPILING = 1.0  # seconds after which the bar says that kernels are compiled
 _FILE_WIDTH = 100  # of a table that no terminal shows
-_LEFT = ("", "group", "meaning", "unit")  # columns of words, which begin at the left
+_LEFT_COLUMNS = (
+    "",
+    "group",
+    "meaning",
+    "unit",
+)  # columns of words, which begin at the left
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,7 @@ class Report:
             words = " ".join([name, *cells]).split()
             table.add_column(
                 Text(name),
-                justify="left" if name in _LEFT else "right",
+                justify="left" if name in _LEFT_COLUMNS else "right",
                 min_width=max(map(len, words), default=0),
                 no_wrap=not any(" " in text for text in (name, *cells)),
             )
@@ -123,7 +128,7 @@ def announcing(
         now = time.perf_counter()
         if done == 0:
             begin = now
-            if speed and total > max(largest, _LONG * speed):
+            if speed and total > max(largest, _LONG_ATTEMPT * speed):
                 largest = total
                 needed, pace = duration(total / speed), f"{count(speed)}/s"
                 note(f"about {needed} to go: {count(total)} lives at {pace}")

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from eqsim.estimate import Estimate
 from eqsim.numerics.tables import Array
 from eqsim.plots.panels import DOTS, Caption
-from eqsim.plots.runs import spread
+from eqsim.plots.runs import replica_spread
 from eqsim.plots.style import styled
 from eqsim.results import draw_band
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _BINS_PER_DECADE = 8  # of a picture of sizes
 _BRIGHTEST = 0.999  # quantile of an image that is the end of its scale
-_MOST_ROWS = 1000  # of an image in space and time, along each side
+_MOST_PIXELS = 1000  # of an image in space and time, along each side
 
 
 @styled
@@ -29,7 +29,7 @@ def elastic_figure(
     far blocks are apart."""
     figure = Figure(figsize=(8, 5.5))
     top, low = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1.0])
-    for label, band in spread(top, run.D, run).items():
+    for label, band in replica_spread(top, run.D, run).items():
         band.set_label(label)
     of = "" if run.force_replica_std is not None else " of contacts at the same X"
     said = f"simulated contacts, mean ± 2 standard errors{of}"
@@ -132,7 +132,7 @@ def _image(
 ) -> None:
     """Draw values over space and time, or over space, thinned to what can be seen;
     `size` is that of all of them in the units of the axes."""
-    rows, columns = (max(1, -(-count // _MOST_ROWS)) for count in values.shape)
+    rows, columns = (max(1, -(-count // _MOST_PIXELS)) for count in values.shape)
     values = values[::rows, ::columns]
     limit = float(np.abs(values).max(initial=0.0)) or 1.0
     look: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}

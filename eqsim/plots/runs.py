@@ -23,9 +23,9 @@ _FAST = 3.0
 _MOST_HOLDS = 4  # of a programme that have a panel of their own
 _MOST_MARKS = 60  # segments or slips that are marked
 # Mean thresholds that a panel of the transient shows, of a run that is longer by another
-# factor of `_LONG`.
-_TRANSIENT = 6.0
-_LONG = 4.0
+# factor of `_LONG_RUN`.
+_FIRST_THRESHOLDS = 6.0
+_LONG_RUN = 4.0
 _MEAN = "exact mean (renewal equation)"
 
 
@@ -39,8 +39,8 @@ def trajectory_figure(
     panels of their own."""
     delayed = steady.pinned.value is not None and steady.pinned.value < 1
     heights = [2.6] + [1.0] * ((exact is not None) + delayed)
-    first = _TRANSIENT * (steady.break_stretch.value or 0.0)
-    several = np.count_nonzero(first > run.X) > 10 and _LONG * first < run.X[-1]
+    first = _FIRST_THRESHOLDS * (steady.break_stretch.value or 0.0)
+    several = np.count_nonzero(first > run.X) > 10 and _LONG_RUN * first < run.X[-1]
     wide = [1.0, 2.0] if several else [1.0]
     figure = Figure(figsize=(9, 2.3 + sum(heights)))
     grid: dict[str, Any] = {"sharex": "col", "sharey": "row", "squeeze": False}
@@ -49,7 +49,7 @@ def trajectory_figure(
     drawn: dict[str, Any] = {}
     z = np.zeros(run.X.size) if exact is None else in_errors(run, exact)
     for panels in columns:
-        drawn |= spread(panels[0], run.X, run)
+        drawn |= replica_spread(panels[0], run.X, run)
         drawn |= _compare(panels[0], run, "force", "C0", steady.friction, exact)
         if exact is not None:
             scores(panels[1], z)
@@ -81,7 +81,7 @@ def trajectory_figure(
     return figure
 
 
-def spread(axes: Axes, x: Array, run: Any) -> dict[str, Any]:
+def replica_spread(axes: Axes, x: Array, run: Any) -> dict[str, Any]:
     """Draw how much replicas differ, if there are several; what the legend needs."""
     if run.force_replica_std is None:
         return {}

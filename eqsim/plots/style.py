@@ -49,7 +49,7 @@ _UNDATED: dict[str, dict[str, Any]] = {
     "svg": {"Date": None},
 }
 # An axis whose values differ relatively by less shows a band of 1 % around them.
-_FLAT = 1e-5
+_FLAT_AXIS = 1e-5
 Arguments = ParamSpec("Arguments")
 
 
@@ -72,7 +72,7 @@ def saved(figure: Figure, form: str = "png") -> bytes:
     with matplotlib.rc_context(STYLE):
         for axes in figure.axes:
             low, high = axes.get_ylim()
-            if 0 < abs(high - low) < _FLAT * max(abs(low), abs(high)):
+            if 0 < abs(high - low) < _FLAT_AXIS * max(abs(low), abs(high)):
                 not_flat(axes)
         figure.savefig(buffer, format=form, metadata=_UNDATED[form])
     return buffer.getvalue()

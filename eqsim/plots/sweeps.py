@@ -35,12 +35,12 @@ _SPREAD = 30.0  # an axis whose values span a greater factor is logarithmic
 # Columns that tables of the terminal call otherwise.
 _PRINTED = {"mu": "friction_coefficient", "force": "friction_force"}
 _MOST_SERIES = len(COLORS)  # that a legend names; more have a colour bar
-_FINE = 120  # points of a reference curve against velocity, which costs one solve
-_COARSE = 40  # points of one against another key
+_FINE_CURVE = 120  # points of a reference curve against velocity, which costs one solve
+_COARSE_CURVE = 40  # points of one against another key
 _MOST_SOLVES = 600
 _REFERENCES = ("friction", "pinned", "break_stretch")
 _DASH: dict[str, Any] = {"linestyle": "none", "marker": "_"}
-_POINT: dict[str, Any] = {"marker": "o", "markersize": 5.5}
+_POINT_LOOK: dict[str, Any] = {"marker": "o", "markersize": 5.5}
 
 
 class Sweep(NamedTuple):
@@ -114,7 +114,9 @@ def select(table: Points, where: dict[str, str]) -> Points:
                 same = np.isclose(column, float(text), rtol=1e-9, atol=0)
         if not np.any(same):
             texts = _texts(column)
-            same = column.map(lambda value, texts=texts: texts[_plain(value)]) == text
+            same = (
+                column.map(lambda value, texts=texts: texts[_hashable(value)]) == text
+            )
         if not np.any(same):
             known = _values(column)
             raise InputError(
@@ -194,12 +196,12 @@ def _figure(
         style, line = look(values)
         part = part.sort_values(x)
         solves = _MOST_SOLVES // max(1, len(series))
-        fine = _curve(sweep, part, columns, log, solves)
+        fine = _reference_curve(sweep, part, columns, log, solves)
         if fine is not None:
             how: dict[str, Any] = {"color": style["color"], "linestyle": line}
             axes.plot(fine[0], fine[1] * factor, zorder=2, **how)
         lines |= fine is not None
-        dashes |= _draw(axes, part, columns, style, dashed=fine is None)
+        dashes |= _draw_series(axes, part, columns, style, dashed=fine is None)
     if bar is not None:
         figure.colorbar(bar, ax=axes, label=axis(by[0], sweep.units, unknown=False))
     handles = [*legends, *_explained(table, y, lines, dashes)]
@@ -213,7 +215,7 @@ def _figure(
     axes.set_xlabel(axis(x, sweep.units, fractions=sweep.fractions))
     axes.set_ylabel(axis(y, sweep.units, quantity.unit if quantity else ""))
     if y == "friction":
-        Caption("", quantity=_beside(sweep, table)).beside(axes)
+        Caption("", quantity=_friction_beside(sweep, table)).beside(axes)
     not_flat(axes)
     axes.set_title(title)
     return figure
@@ -260,7 +262,7 @@ def _looks(
     """How a series looks, given the values of the columns `by`, its entries in a
     legend, and a colour bar."""
     if not by:
-        return lambda values: ({"color": COLORS[0], **_POINT}, "-"), [], None
+        return lambda values: ({"color": COLORS[0], **_POINT_LOOK}, "-"), [], None
     groups = [sorted(table[name].unique(), key=_order) for name in by]
     first, second = groups[0], groups[1] if len(by) > 1 else []
     bar = None
@@ -295,7 +297,7 @@ def _looks(
                 style["color"] = "0.35"
             elif second:
                 style["marker"], line = "o", "none"
-            style |= {"linestyle": line, "label": plain(texts[_plain(value)])}
+            style |= {"linestyle": line, "label": plain(texts[_hashable(value)])}
             legend.append(Line2D([], [], **style))
     return look, legend, bar
 
@@ -312,7 +314,7 @@ def _index(values: list[Any], value: Any) -> int:
     return [_order(one) for one in values].index(_order(value))
 
 
-def _draw(
+def _draw_series(
     axes: Axes,
     part: Points,
     columns: tuple[str, str],
@@ -346,7 +348,7 @@ def _explained(table: Points, y: str, lines: bool, dashes: bool) -> list[Line2D]
         "bars: ± 2 standard errors": (bars, {**mark, "marker": "|"}),
         "open: unreliable": (
             (table["status"] == "unreliable").any(),
-            {**mark, **_POINT, "markerfacecolor": "white"},
+            {**mark, **_POINT_LOOK, "markerfacecolor": "white"},
         ),
     }
     return [
@@ -356,7 +358,7 @@ def _explained(table: Points, y: str, lines: bool, dashes: bool) -> list[Line2D]
     ]
 
 
-def _curve(
+def _reference_curve(
     sweep: Sweep, part: Points, columns: tuple[str, str], log: bool, solves: int
 ) -> tuple[Array, Array] | None:
     """The reference of a series between its points, where it takes little time."""
@@ -367,7 +369,7 @@ def _curve(
     if f"{y}_reference" not in part or part[f"{y}_reference"].isna().all():
         return None
     over_velocity = x == "drive.velocity"
-    count = _FINE if over_velocity else min(_COARSE, solves)
+    count = _FINE_CURVE if over_velocity else min(_COARSE_CURVE, solves)
     if count < 2 * len(part) and not over_velocity:
         return None
     grid = np.geomspace(low, high, count) if log else np.linspace(low, high, count)
@@ -375,14 +377,14 @@ def _curve(
     row = part.iloc[0]
     try:
         if over_velocity:
-            return grid, _averages(sweep, row, y, {}, grid)
-        found = [_averages(sweep, row, y, {x: value}) for value in grid.tolist()]
+            return grid, _curve_averages(sweep, row, y, {}, grid)
+        found = [_curve_averages(sweep, row, y, {x: value}) for value in grid.tolist()]
         return grid, np.concatenate(found)
     except InputError:
         return None
 
 
-def _averages(
+def _curve_averages(
     sweep: Sweep, row: Any, y: str, more: dict[str, Any], velocities: Any = None
 ) -> Array:
     """Values of a column by the master equation at a row's parameters, at some
@@ -414,7 +416,7 @@ def _point(sweep: Sweep, row: Any, more: dict[str, Any]) -> RunFile:
         for key, kind in keys(sweep.file).items()
         if key in row and not key.startswith("output.")
         if sweep.table[key].nunique(dropna=False) > 1
-        if _plain(row[key]) is not None
+        if _hashable(row[key]) is not None
     } | more
     kelvin = "thermal.temperature"
     if kelvin in changes or sweep.file[kelvin] is not None:
@@ -429,7 +431,7 @@ def _stress(sweep: Sweep, y: str, largest: float) -> Quantity | None:
     return next(found, None)
 
 
-def _beside(sweep: Sweep, table: Points) -> Quantity | None:
+def _friction_beside(sweep: Sweep, table: Points) -> Quantity | None:
     """What friction is at the interface, if that is the same of all points."""
     names = ("contacts.count", "contacts.stiffness")
     several = any(name in table and table[name].nunique() > 1 for name in names)
@@ -453,7 +455,7 @@ def _numeric(column: Column) -> bool:
     return column.dtype.kind in "iuf"
 
 
-def _plain(value: Any) -> Any:
+def _hashable(value: Any) -> Any:
     """A value as a key of a dictionary, in which NaN is found again."""
     return None if value is None or value != value else value
 
@@ -461,12 +463,12 @@ def _plain(value: Any) -> Any:
 def _texts(column: Column) -> dict[Any, str]:
     """Its values as they are printed: numbers with six digits, or as many as tell
     neighbours apart."""
-    values = [_plain(value) for value in column.drop_duplicates()]
-    texts = {value: _text(value, 6) for value in values}
+    values = [_hashable(value) for value in column.drop_duplicates()]
+    texts = {value: _digits_of(value, 6) for value in values}
     for digits in range(7, 18):
         shared = {text for text, count in Counter(texts.values()).items() if count > 1}
         texts = {
-            value: _text(value, digits) if text in shared else text
+            value: _digits_of(value, digits) if text in shared else text
             for value, text in texts.items()
         }
     return texts
@@ -475,11 +477,13 @@ def _texts(column: Column) -> dict[Any, str]:
 def _values(column: Column) -> str:
     """Some of its values, to choose from."""
     texts = _texts(column)
-    found = [texts[_plain(value)] for value in column.drop_duplicates().sort_values()]
+    found = [
+        texts[_hashable(value)] for value in column.drop_duplicates().sort_values()
+    ]
     return ", ".join(found[:8] + ["..."] * (len(found) > 8))
 
 
-def _text(value: Any, digits: int) -> str:
+def _digits_of(value: Any, digits: int) -> str:
     if value is None:
         return "none"
     return f"{value:.{digits}g}" if isinstance(value, float) else str(value)

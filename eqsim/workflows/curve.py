@@ -19,7 +19,7 @@ with lazily():
 
 
 _SHOWN = ("t", "X", "stage", "force", "force_error", "pinned", "pinned_error")
-_PARTS = 10  # of the curve at whose ends it is shown
+_CURVE_PARTS = 10  # of the curve at whose ends it is shown
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class CurveResult(FileResult):
     def rows(self) -> Iterator[tuple[str, ...]]:
         head = tuple(name for name in _SHOWN if name in self.columns)
         yield head
-        for row in terminal.some(len(self.columns["X"]), _PARTS):
+        for row in terminal.some(len(self.columns["X"]), _CURVE_PARTS):
             yield tuple(
                 f"{self.columns[name][row]:{'.1e' if '_error' in name else '.8g'}}"
                 for name in head

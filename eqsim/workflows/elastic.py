@@ -18,15 +18,15 @@ from eqsim.master.steady import reference
 from eqsim.model.drive import Drive
 from eqsim.model.elastic import Elastic
 from eqsim.numerics.tables import Array
-from eqsim.workflows.report import Progress, Simulated
+from eqsim.workflows.report import Progress, SimulatedFile
 
 with lazily():
     from eqsim.plots import blocks as draw
     from eqsim.plots import panels
 
 
-_LARGEST = 1000  # size of avalanches up to which the law is drawn
-_ROWS = {
+_LARGEST_SIZE = 1000  # size of avalanches up to which the law is drawn
+_AVERAGE_ROWS = {
     "friction": "friction over X",
     "size": "breaks per avalanche",
     "single": "fraction of single breaks",
@@ -34,7 +34,7 @@ _ROWS = {
 
 
 @dataclass(frozen=True, repr=False)
-class ElasticResult(Simulated):
+class ElasticResult(SimulatedFile):
     """Simulation of a run file with coupled blocks."""
 
     file: RunFile
@@ -53,7 +53,7 @@ class ElasticResult(Simulated):
         law."""
         if self.ensemble.thresholds.steps.size:
             return np.empty(0)
-        return size_law(self.ensemble.thresholds, self.elastic.load, _LARGEST)
+        return size_law(self.ensemble.thresholds, self.elastic.load, _LARGEST_SIZE)
 
     @cached_property
     def friction(self) -> Estimate:
@@ -114,7 +114,7 @@ class ElasticResult(Simulated):
             known: tuple[Any, ...] = "none", "none"
             if exact.value is not None:
                 known = exact, terminal.score(difference(found, exact))
-            yield _ROWS[name], found, *known
+            yield _AVERAGE_ROWS[name], found, *known
 
     def notes(self) -> Iterator[str]:
         found = self.trajectory

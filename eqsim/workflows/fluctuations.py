@@ -28,19 +28,19 @@ with lazily():
     from eqsim.plots import checks, panels
 
 
-_ROWS = 8  # lags that a table shows
-_CYCLES = 5.0  # mean cycles of pinned and detached to which lags extend by default
+_LAG_ROWS = 8  # lags that a table shows
+_LAG_CYCLES = 5.0  # mean cycles of pinned and detached to which lags extend by default
 # Contacts of a simulated ensemble: the fewer, the more ensembles of the same lives.
 _TOGETHER = 20
 _MOST_ENSEMBLES = 20_000
 _FEWEST_ENSEMBLES = 100
 # an ensemble that makes more of the scatter has siblings that were not seen
-_DOMINANT = 0.1
+_DOMINANT_SHARE = 0.1
 _UNMET = 4.0  # contacts expected, below which a sample may have met none
 
 
 @dataclass(frozen=True)
-class Sample:
+class SampledCovariance:
     """The autocovariance of many small ensembles, N times that of F/(N k), at the lags
     of the exact one, arrays (points,) (length^2); `reliable` is False where few of the
     ensembles make its scatter."""
@@ -60,7 +60,7 @@ class FluctuationsResult(FileResult):
 
     file: RunFile
     exact: Fluctuations
-    sample: Sample | None
+    sample: SampledCovariance | None
     reason: str
     asked: dict[str, float]
     command = "fluctuations"
@@ -142,7 +142,7 @@ class FluctuationsResult(FileResult):
         """Some lags, from 0, where it is the variance, on."""
         exact, found, z = self.exact, self.estimates(), self.z
         yield "lag", "exact", "simulated", "z"
-        for i in terminal.some(exact.lag.size, _ROWS - 1):
+        for i in terminal.some(exact.lag.size, _LAG_ROWS - 1):
             both = (found[i], terminal.score(z[i])) if found else ("none", "none")
             yield f"{exact.lag[i]:.6g}", f"{exact.covariance[i]:.6g}", *both
 
@@ -199,12 +199,12 @@ def run_fluctuations(
 def default_lag(ensemble: Ensemble, drive: Drive) -> float:
     """Five mean cycles of pinned and detached (length)."""
     means = reference(ensemble, drive)
-    return _CYCLES * known(means.travel) / known(means.pinned)
+    return _LAG_CYCLES * known(means.travel) / known(means.pinned)
 
 
 def sampled(
     ensemble: Ensemble, drive: Drive, points: int, lives: float, seed: int, threads: int
-) -> Sample:
+) -> SampledCovariance:
     """The autocovariance at `points` lags up to the drive's distance, from products
     about the exact mean, of forces of independent stationary ensembles over twice that
     distance.
@@ -229,10 +229,12 @@ def sampled(
     about = (products[0] - products[0].mean()) ** 2
     stderr = found.std(axis=1, ddof=1) / math.sqrt(ensembles)
     unmet = _unmet(ensemble, drive.velocity, exact, _TOGETHER * ensembles, run.lives)
-    even = about.max() < _DOMINANT * about.sum()
-    reliable = bool(even and unmet < _DOMINANT * known(exact.force_variance))
+    even = about.max() < _DOMINANT_SHARE * about.sum()
+    reliable = bool(even and unmet < _DOMINANT_SHARE * known(exact.force_variance))
     counts = _TOGETHER, ensembles, run.lives
-    return Sample(found.mean(axis=1), np.hypot(stderr, unmet), reliable, *counts)
+    return SampledCovariance(
+        found.mean(axis=1), np.hypot(stderr, unmet), reliable, *counts
+    )
 
 
 def _unmet(

@@ -9,7 +9,6 @@ from math import isnan, nan
 from pathlib import Path
 from typing import Any
 
-from eqsim import validation
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.export import RENAMED_COLUMNS
@@ -19,6 +18,7 @@ from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked
 from eqsim.sweeps.scheduler import sweep
 from eqsim.sweeps.workers import Workers
+from eqsim.validation import columns, validate
 from eqsim.workflows.curve import curve
 from eqsim.workflows.fluctuations import run_fluctuations
 from eqsim.workflows.report import Progress
@@ -26,10 +26,11 @@ from eqsim.workflows.run import run
 
 _TIMES = ("seconds",)  # columns that no repetition can reproduce
 _UNREADABLE = (OSError, KeyError, ValueError, TypeError, RecursionError)
+Origin = dict[str, Any]  # the provenance of a table
 Table = Any  # a pandas DataFrame, or columns by name
 # Makes a table again, from its provenance, the table, threads or processes, and
 # progress.
-Repeat = Callable[[dict[str, Any], Table, int, Progress], Table]
+Repeat = Callable[[Origin, Table, int, Progress], Table]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,7 +104,7 @@ def replay(
     """
     known = {**_REPEAT, **(others or {})}
     path = Path(path)
-    table, origin = _read(path, known)
+    table, origin = _replayed_table(path, known)
     import pandas as pd
 
     try:
@@ -124,7 +125,7 @@ def replay(
     return Replay(origin["command"], len(table), differences, changed)
 
 
-def _read(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, dict[str, Any]]:
+def _replayed_table(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, Origin]:
     """The table of a file, and its provenance."""
     import pyarrow
     from pyarrow import parquet as pq
@@ -175,34 +176,26 @@ def compare(table: Table, again: Table) -> dict[str, tuple[int, float | None]]:
     return found
 
 
-def _run(
-    origin: dict[str, Any], table: Table, workers: int, progress: Progress
-) -> Table:
+def _run(origin: Origin, table: Table, workers: int, progress: Progress) -> Table:
     file = stored(origin["settings"], origin["folder"])
     result = run(file, threads=workers, max_lives=1e300, progress=progress)
     names = set(table)
     return max(result.tables().values(), key=lambda one: len(names & set(one)))
 
 
-def _reference(
-    origin: dict[str, Any], table: Table, _: int, progress: Progress
-) -> Table:
+def _reference(origin: Origin, table: Table, _: int, progress: Progress) -> Table:
     file = stored(origin["settings"], origin["folder"])
     return curve(file, closure="mean_threshold" in table).columns
 
 
-def _fluctuations(
-    origin: dict[str, Any], _: Table, workers: int, progress: Progress
-) -> Table:
+def _fluctuations(origin: Origin, _: Table, workers: int, progress: Progress) -> Table:
     asked = origin["settings"]
     file = stored(asked["run"], origin["folder"])
     how = {name: asked[name] for name in ("lag", "points", "lives")}
     return run_fluctuations(file, threads=workers, **how).columns()
 
 
-def _stability(
-    origin: dict[str, Any], table: Table, _: int, progress: Progress
-) -> Table:
+def _stability(origin: Origin, table: Table, _: int, progress: Progress) -> Table:
     file = stored(origin["settings"], origin["folder"])
     pulled = pulled_by(file.ensemble, file.drive)
     critical = bool(table["critical_stiffness"].notna().any())
@@ -210,17 +203,13 @@ def _stability(
     return border(pulled, velocities, critical=critical, progress=progress)
 
 
-def _validate(
-    origin: dict[str, Any], _: Table, workers: int, progress: Progress
-) -> Table:
+def _validate(origin: Origin, _: Table, workers: int, progress: Progress) -> Table:
     suite, seed = origin["settings"]["suite"], origin["seed"]
-    found = validation.validate(suite, seed=seed, threads=workers, progress=progress)
-    return validation.columns(found.scores)
+    found = validate(suite, seed=seed, threads=workers, progress=progress)
+    return columns(found.scores)
 
 
-def _sweep(
-    origin: dict[str, Any], table: Table, workers: int, progress: Progress
-) -> Table:
+def _sweep(origin: Origin, table: Table, workers: int, progress: Progress) -> Table:
     """With the identities of then, of which seeds are made: they change with the
     version of results."""
     from pyarrow import parquet as pq

@@ -18,7 +18,7 @@ with lazily():
 
 
 Progress = Callable[[int, float], None]
-Solved = TypeVar("Solved")
+Exact = TypeVar("Exact")
 
 
 class FileResult:
@@ -99,7 +99,7 @@ class FileResult:
         return found
 
 
-class Simulated(FileResult, Listed):
+class SimulatedFile(FileResult, Listed):
     """A run file that was simulated: a `trajectory`, drawn with the `exact` mean, which
     is a result or None and why, if there is one; `who` shared the work."""
 
@@ -178,7 +178,7 @@ class Simulated(FileResult, Listed):
         return shown
 
 
-def if_any(solve: Callable[[], Solved]) -> tuple[Solved | None, str]:
+def if_any(solve: Callable[[], Exact]) -> tuple[Exact | None, str]:
     """An exact result, or None and why there is none."""
     try:
         return solve(), ""

@@ -33,19 +33,19 @@ from eqsim.sweeps.workers import Workers
 from eqsim.workflows.averages import unit_column
 from eqsim.workflows.elastic import ElasticResult, run_elastic
 from eqsim.workflows.peak import static_peak
-from eqsim.workflows.report import Progress, Simulated, if_any
+from eqsim.workflows.report import Progress, SimulatedFile, if_any
 
 with lazily():
     from eqsim.plots import panels, runs
 
 
-_MOST_ROWS = 40  # segments or slips that a table shows
+_MOST_LINES = 40  # segments or slips that a table shows
 _MOST_NAMED = 8  # slips that are named in a remark
 _CUT = "the record {} in the midst of {}: drop, time and distance (>) are those of what it shows"
 
 
 @dataclass(frozen=True, repr=False)
-class RunResult(Simulated):
+class RunResult(SimulatedFile):
     """A run file that was simulated.
 
     Attributes
@@ -89,8 +89,11 @@ class RunResult(Simulated):
         if exact is not None:
             level = reference(self.ensemble, self.drive).friction
             known = {name: one.value for name, one in exact._asdict().items()}
-            known["ratio"] = _over(exact.force, level).value
-        found = {**seen._asdict(), "ratio": _over(seen.force, self.steady.friction)}
+            known["ratio"] = _peak_ratio(exact.force, level).value
+        found = {
+            **seen._asdict(),
+            "ratio": _peak_ratio(seen.force, self.steady.friction),
+        }
         shown = {name: one.as_dict() for name, one in found.items()}
         return {"peak": {**shown, "exact": known}}
 
@@ -126,7 +129,7 @@ class RunResult(Simulated):
         yield "", "this run", "expected", *unit_column(rows), "z"
         for name, row in rows:
             found, level = getattr(averages, name), getattr(self.steady, name)
-            yield _beside(row, found, level, without=found.diverges)
+            yield _beside_expected(row, found, level, without=found.diverges)
         if self.peak is None:
             return
         quantity, length = self.file.preferred(self.peak.force), rows[0][1].unit
@@ -134,7 +137,9 @@ class RunResult(Simulated):
         forces = Row("peak_force", unit, quantity)
         for name, row in (("force", forces), ("X", Row("peak_X", length))):
             exact = getattr(self.exact_peak, name, None)
-            yield _beside(row, getattr(self.peak, name), exact, without=exact is None)
+            yield _beside_expected(
+                row, getattr(self.peak, name), exact, without=exact is None
+            )
 
     def notes(self) -> Iterator[str]:
         averages = self.trajectory.averages.averages().values()
@@ -148,7 +153,7 @@ class RunResult(Simulated):
         yield from self.speed()
 
 
-def _beside(
+def _beside_expected(
     row: Row, found: Estimate, exact: Estimate | None, without: bool
 ) -> tuple[Any, ...]:
     """A row of a table: an estimate beside what is expected, `without` their
@@ -165,7 +170,7 @@ def _doubt(found: Any) -> Iterator[str]:
         yield "force_stderr: not to be trusted, forces this heavy-tailed need more contacts"
 
 
-def _over(peak: Estimate, level: Estimate) -> Estimate:
+def _peak_ratio(peak: Estimate, level: Estimate) -> Estimate:
     """A static peak over the steady friction."""
     if not peak.value or not level.value:
         return Estimate(None, None, peak.n, reliable=False)
@@ -176,7 +181,7 @@ def _over(peak: Estimate, level: Estimate) -> Estimate:
 
 
 @dataclass(frozen=True, repr=False)
-class ProgrammeResult(Simulated):
+class ProgrammeResult(SimulatedFile):
     """A run file with a programme that was simulated."""
 
     file: RunFile
@@ -232,18 +237,18 @@ class ProgrammeResult(Simulated):
             unit = f" [{shown.unit}]" * bool(shown.unit)
             forces = f"{shown.symbol} then{unit}", "z", f"{shown.symbol} at its peak"
         yield "", "velocity", "until t", *forces, "after X or t"
-        for index, segment in enumerate(found[:_MOST_ROWS]):
+        for index, segment in enumerate(found[:_MOST_LINES]):
             z = "none"
             if exact:
                 z = terminal.score(difference(segment.end, exact[index].end))
             velocity = "hold" if segment.velocity == 0 else f"{segment.velocity:.6g}"
             end, peak = row.of(segment.end), row.of(segment.peak)
             yield str(index), velocity, f"{segment.t:.6g}", end, z, peak, segment.at
-        if len(found) > _MOST_ROWS:
+        if len(found) > _MOST_LINES:
             yield "...", *[""] * 6
 
     def notes(self) -> Iterator[str]:
-        for index, segment in enumerate(self.trajectory.segments[:_MOST_ROWS]):
+        for index, segment in enumerate(self.trajectory.segments[:_MOST_LINES]):
             if segment.step:
                 effects = ", ".join(
                     f"{name} {getattr(segment.step, name)}"
@@ -286,13 +291,13 @@ class SliderResult(ProgrammeResult):
         """Each slip, and means of all but the first."""
         found = self.trajectory
         yield "slip", "at t", "at X", "drop of the force", "takes", "over"
-        for index, slip in enumerate(found.slips[:_MOST_ROWS]):
+        for index, slip in enumerate(found.slips[:_MOST_LINES]):
             least = "" if slip.begun and slip.ended else "> "
             distance = abs(slip.distance) if least else slip.distance
             sizes = (slip.drop, slip.duration, distance)
             places = (f"{number:.6g}" for number in (slip.t, slip.X))
             yield str(index), *places, *(f"{least}{number:.6g}" for number in sizes)
-        if len(found.slips) > _MOST_ROWS:
+        if len(found.slips) > _MOST_LINES:
             yield "...", *[""] * 5
         if found.period.value is not None:
             yield "mean", f"every {found.period}", "", found.drop, "", ""

@@ -17,8 +17,8 @@ with lazily():
     from eqsim.plots import checks, panels
 
 
-_DECADES = 1.5  # of the borders, to either side of the run's velocity
-_POINTS = 25  # of the borders
+_BORDER_DECADES = 1.5  # of the borders, to either side of the run's velocity
+_BORDER_POINTS = 25  # of the borders
 _SLOW_POINTS = 7  # of borders that take minutes a point
 _TOLD = 1e-7  # relative errors below which a value is shown without
 _FRESH = {
@@ -80,7 +80,7 @@ class StabilityResult(FileResult):
         optional = ("after X", "critical", "growth rate", "period")
         for name, value, meaning in every:
             if name not in optional or value.value is not None:
-                yield name, _text(value), meaning
+                yield name, _told(value), meaning
 
     def notes(self) -> Iterator[str]:
         found = self.stability
@@ -94,7 +94,7 @@ class StabilityResult(FileResult):
             yield "undecided: the rate is not known well enough to tell its sign"
 
 
-def _text(known: Estimate | str) -> str:
+def _told(known: Estimate | str) -> str:
     """A value with its error, unless that is rounding."""
     if isinstance(known, str) or known.value is None or known.stderr is None:
         return str(known)
@@ -122,8 +122,8 @@ def stability(
         )
     if not borders:
         return StabilityResult(file, found, {})
-    points = _SLOW_POINTS if critical and not pulled.quick else _POINTS
-    steps = (_DECADES * (2.0 * i / (points - 1) - 1.0) for i in range(points))
+    points = _SLOW_POINTS if critical and not pulled.quick else _BORDER_POINTS
+    steps = (_BORDER_DECADES * (2.0 * i / (points - 1) - 1.0) for i in range(points))
     velocities = [found.velocity * 10.0**step for step in steps]
     with bar("borders", "velocities") as progress:
         known = solver.border(
