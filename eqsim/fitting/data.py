@@ -22,13 +22,13 @@ MEASURED = (
     "peak_ratio",
     "peak_X",
 )
-_COLUMNS = (
+_KNOWN_COLUMNS = (
     f"columns are keys such as drive.velocity and {', '.join(MEASURED)} (friction may "
     "be a force, a stress or a coefficient: fit.scale is its unit)"
 )
 
 
-class Row(NamedTuple):
+class MeasuredAt(NamedTuple):
     """Where a measurement was made: values of run-file keys, kT over that of the run
     file, its set, and in which line of the file it stands."""
 
@@ -38,7 +38,7 @@ class Row(NamedTuple):
     line: int = 0
 
 
-class Table(NamedTuple):
+class Measurements(NamedTuple):
     """Measurements, arrays (measurements,): the row each belongs to, its observable,
     value and standard error.
 
@@ -46,7 +46,7 @@ class Table(NamedTuple):
     is the digest of the file, and a record has the `time` of its points.
     """
 
-    rows: list[Row]
+    rows: list[MeasuredAt]
     row: Array
     observable: list[str]
     value: Array
@@ -84,7 +84,7 @@ def lines(sheet: csv.Sheet, field: str) -> Iterator[Line]:
             yield Line(number, named, f"{field}, line {number}: ")
 
 
-def read_table(path: Path, file: RunFile, fit: Fit) -> Table:
+def read_table(path: Path, file: RunFile, fit: Fit) -> Measurements:
     """The measurements of a CSV file.
 
     Columns are float keys of the run file, the temperature column, observables, each
@@ -92,8 +92,8 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Table:
     not measured. Raises InputError with the column or line that cannot be used.
     """
     sheet = csv.read(path, f"fit.data = {path}")
-    names, observables = _columns(sheet, file, fit)
-    rows, temperatures = list[Row](), list[float]()
+    names, observables = _checked_columns(sheet, file, fit)
+    rows, temperatures = list[MeasuredAt](), list[float]()
     measured, values = list[tuple[int, str]](), list[tuple[float, float]]()
     for line in lines(sheet, "fit.data"):
         where, cells = line.where, line.cells
@@ -116,7 +116,9 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Table:
                     f"{where}{name}_stderr is there without a value of {name}"
                 )
         rows.append(
-            Row(changes, kelvin / unit, cells.get("set", "").strip(), line.number)
+            MeasuredAt(
+                changes, kelvin / unit, cells.get("set", "").strip(), line.number
+            )
         )
         temperatures.append(kelvin)
     if not measured:
@@ -129,10 +131,12 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Table:
             )
     value, sigma = np.array(values).T
     at, kelvins = np.array(row_of), np.array(temperatures)
-    return Table(rows, at, names_of, value, sigma, names, kelvins, sheet.sha256)
+    return Measurements(rows, at, names_of, value, sigma, names, kelvins, sheet.sha256)
 
 
-def _columns(sheet: csv.Sheet, file: RunFile, fit: Fit) -> tuple[list[str], list[str]]:
+def _checked_columns(
+    sheet: csv.Sheet, file: RunFile, fit: Fit
+) -> tuple[list[str], list[str]]:
     """Names of the columns that are keys, and of those that are observables. Raises
     InputError."""
     header = sheet.columns
@@ -149,7 +153,7 @@ def _columns(sheet: csv.Sheet, file: RunFile, fit: Fit) -> tuple[list[str], list
         if name not in (*allowed, fit.temperature):
             raise InputError(
                 f'fit.data: column "{name}" is neither a key nor an observable; '
-                f"{meant(name, allowed) or _COLUMNS}"
+                f"{meant(name, allowed) or _KNOWN_COLUMNS}"
             )
         if name in errors and name.removesuffix("_stderr") not in header:
             raise InputError(

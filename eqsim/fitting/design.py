@@ -3,6 +3,7 @@ best (Fisher information)."""
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -10,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError, meant, require_integer, require_number
-from eqsim.fitting.data import Row
+from eqsim.fitting.data import MeasuredAt
 from eqsim.fitting.fit import Prepared, prepare
 from eqsim.fitting.model import Problem, velocity_of
 from eqsim.io.runfile import RunFile
@@ -29,8 +30,9 @@ class Limits(NamedTuple):
     low: float
     high: float
 
-    def check(self, name: str) -> None:
-        """Raise InputError unless 0 < low <= high."""
+    def spaced(self, name: str, space: Callable[..., Array], count: int) -> Array:
+        """Values between the limits, one if these are equal. Raises InputError unless
+        0 < low <= high."""
         for value in self:
             require_number(f"--{name}", value, above=0)
         if self.low > self.high:
@@ -38,9 +40,10 @@ class Limits(NamedTuple):
                 f"--{name} {self.low:g},{self.high:g}: the first must not be larger "
                 "than the second"
             )
+        return space(*self, count if self.low < self.high else 1)
 
 
-class Step(NamedTuple):
+class NextMeasurement(NamedTuple):
     """A measurement of friction: where, and the standard deviation of the key's
     variable that is expected after it and all before it."""
 
@@ -58,7 +61,7 @@ class Design(NamedTuple):
     variable: str
     now: float
     repeated: float
-    steps: list[Step]
+    steps: list[NextMeasurement]
 
 
 def expected(jacobian: Array, index: int) -> float:
@@ -106,7 +109,7 @@ def design(
         best = int(np.argmin(after))
         jacobian = np.vstack((jacobian, rows[best]))
         kelvin = float(T[best]) if prepared.fit.temperature is not None else None
-        steps.append(Step(float(v[best]), kelvin, after[best]))
+        steps.append(NextMeasurement(float(v[best]), kelvin, after[best]))
     name = problem.parameters[index].variable_name
     return Design(key, name, now, repeated, steps)
 
@@ -153,10 +156,8 @@ def _candidates(
         )
     measured = table.temperatures.tolist()
     temperatures = temperatures or Limits(min(measured), max(measured))
-    velocities.check("velocity")
-    temperatures.check("temperature")
-    v = np.unique(np.geomspace(*velocities, _VELOCITIES))
-    T = np.unique(np.linspace(*temperatures, _TEMPERATURES))
+    v = Limits(*velocities).spaced("velocity", np.geomspace, _VELOCITIES)
+    T = Limits(*temperatures).spaced("temperature", np.linspace, _TEMPERATURES)
     return np.tile(v, T.size), np.repeat(T, v.size)
 
 
@@ -173,7 +174,7 @@ def _measurable(prepared: Prepared, u: Array, v: Array, T: Array) -> Problem:
     relative = float(np.median(table.sigma[force] / np.abs(table.value[force])))
     heat = T / (fit.reference_temperature or 1.0) if fit.temperature else T**0
     rows = [
-        Row((("drive.velocity", speed),), warmth, table.sets[0])
+        MeasuredAt((("drive.velocity", speed),), warmth, table.sets[0])
         for speed, warmth in zip(v.tolist(), heat.tolist(), strict=True)
     ]
     blank = problem.elsewhere(int(np.argmax(force)), rows)

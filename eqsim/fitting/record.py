@@ -20,7 +20,7 @@ import numpy as np
 from scipy import optimize
 
 from eqsim.errors import InputError
-from eqsim.fitting.data import Row, Table, lines
+from eqsim.fitting.data import MeasuredAt, Measurements, lines
 from eqsim.fitting.estimate import Minimum, minimise
 from eqsim.fitting.model import Problem
 from eqsim.fitting.section import Fit
@@ -35,19 +35,19 @@ from eqsim.numerics.tables import Array
 # Steps of derivatives: where solves choose their own steps, and where these are given.
 STEP_CHOSEN = 2e-2
 _STEP_GIVEN = 1e-3
-# How often a search chooses the steps of solves anew, as long as chi-square falls by
+# How often a search_record chooses the steps of solves anew, as long as chi-square falls by
 # more than this share.
 _MOST_SEARCHES = 6
-_FALL = 1e-3
-# Size of the steps of `force_of` for a search.
-_COARSE = 0.7
-# Steps of a solve in a search: steady sliding takes some hundred, a slip a thousand.
-_MOST_STEPS = 4000
+_CHI2_FALL = 1e-3
+# Size of the steps of `force_of` for a search_record.
+_COARSE_SIZE = 0.7
+# Steps of a solve in a search_record: steady sliding takes some hundred, a slip a thousand.
+_MOST_SOLVER_STEPS = 4000
 # Correlation of neighbours below which they are independent.
 _LEAST_CORRELATION = 0.02
 
 
-def read_record(path: Path, fit: Fit) -> Table:
+def read_record(path: Path, fit: Fit) -> Measurements:
     """The points of a record, a CSV file with columns of time and force, and of
     standard errors. Errors of the file and of fit.noise add in quadrature. Raises
     InputError with the column or line that cannot be used."""
@@ -86,9 +86,9 @@ def read_record(path: Path, fit: Fit) -> Table:
         raise InputError(f"{field}: {wrong}")
     time, value, sigmas = np.array(points).T
     row_of, names = np.zeros(time.size, int), ["friction"] * time.size
-    rows = [Row((), 1.0, "")]
+    rows = [MeasuredAt((), 1.0, "")]
     known = rows, row_of, names, value, sigmas, list[str](), np.ones(1), sheet.sha256
-    return Table(*known, time)
+    return Measurements(*known, time)
 
 
 class _Along(NamedTuple):
@@ -147,17 +147,17 @@ class RecordForward:
         error = np.abs(fine / coarse - 1.0) / 3.0
         return replace(self, correction=correction, error=error)
 
-    def settled(self, changes: dict[str, float]) -> "RecordForward":
+    def settle_steps(self, changes: dict[str, float]) -> "RecordForward":
         """With the steps that a solve at these parameters chooses, uncorrected."""
         along = self._along(changes)
         if along.programme.stage is None:
             return self
-        steps = steps_of(*along[:3], _COARSE, _MOST_STEPS)
+        steps = steps_of(*along[:3], _COARSE_SIZE, _MOST_SOLVER_STEPS)
         return replace(self, correction=None, error=None, steps=steps)
 
     def _coarse(self, along: _Along) -> Array:
-        """The force by the steps of a search."""
-        force = force_of(*along[:3], _COARSE, _MOST_STEPS, self.steps)
+        """The force by the steps of a search_record."""
+        force = force_of(*along[:3], _COARSE_SIZE, _MOST_SOLVER_STEPS, self.steps)
         return force[along.points]
 
     def _along(self, changes: dict[str, float]) -> _Along:
@@ -197,23 +197,23 @@ class Correlation(NamedTuple):
     effective: float
 
 
-def settled(problem: Problem, u: Array) -> Problem:
+def settle_steps(problem: Problem, u: Array) -> Problem:
     """The problem with the steps that a solve at parameters `u` chooses. Raises
     InputError where there is none."""
     assert isinstance(problem.forward, RecordForward)
-    forward = problem.forward.settled(problem.changes(u))
+    forward = problem.forward.settle_steps(problem.changes(u))
     return replace(problem, forward=forward, step=_STEP_GIVEN, central=True)
 
 
-def search(problem: Problem, u: Array) -> Minimum:
+def search_record(problem: Problem, u: Array) -> Minimum:
     """Least squares from `u`, again and again with the steps that are chosen where they
     ended."""
     found: list[Minimum] = []
     while len(found) < _MOST_SEARCHES:
-        if len(found) > 1 and found[-1].chi2 >= (1.0 - _FALL) * found[-2].chi2:
+        if len(found) > 1 and found[-1].chi2 >= (1.0 - _CHI2_FALL) * found[-2].chi2:
             break
         try:
-            found.append(minimise(settled(problem, u), u))
+            found.append(minimise(settle_steps(problem, u), u))
         except TooManySteps:
             found.append(minimise(problem, u))
         u = found[-1].u
@@ -225,7 +225,7 @@ def correlated(problem: Problem, u: Array, t: Array) -> tuple[Problem, Correlati
     """The problem with steps and correction at parameters `u`, and the errors'
     correlation that the residuals there have, by maximum likelihood of a Markov process
     of free variance."""
-    problem = settled(problem, u)
+    problem = settle_steps(problem, u)
     assert isinstance(problem.forward, RecordForward)
     problem = replace(problem, forward=problem.forward.corrected(problem.changes(u)))
     r, gap = (problem.value - problem.solved(u).predicted) / problem.sigma, np.diff(t)

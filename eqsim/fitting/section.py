@@ -71,7 +71,7 @@ class Noise(_Section):
     absolute: NotNegative = 0.0
 
 
-class Record(_Section):
+class RecordSection(_Section):
     file: str
     time: str = "t"
     force: str = "force"
@@ -83,7 +83,7 @@ class Fit(_Section):
     """The content of [fit]."""
 
     data: str | None = None
-    record: Record | None = None
+    record: RecordSection | None = None
     scale: Scale | float = 1.0
     temperature: str | None = None
     reference_temperature: Positive | None = None
@@ -107,11 +107,11 @@ class Fit(_Section):
         return [scale._replace(key=f"fit.scale.{name}") for name in sets], 1.0
 
 
-_SECTIONS: dict[str, type[BaseModel]] = {
+_FIT_SECTIONS: dict[str, type[BaseModel]] = {
     "free": Free,
     "scale": Scale,
     "noise": Noise,
-    "record": Record,
+    "record": RecordSection,
 }
 
 
@@ -140,23 +140,9 @@ _TRANSFORMS = {
 
 
 class Parameter(NamedTuple):
-    """A parameter of a fit.
-
-    Attributes
-    ----------
-    key : str
-        A key of the run file, "fit.scale" (of a set: "fit.scale.SET"), "fit.offset" or
-        "fit.drift".
-    transform : str
-        The variable in which it is fitted is ln x ("log"), ln(1 + x) ("log1p") or x
-        ("linear").
-    low, high, start : float
-        Bounds and start, in that variable.
-    prior : NormalPrior, optional
-        Of that variable.
-    linear : bool
-        Whether what is measured is linear in it.
-    """
+    """A parameter of a fit: a key of the run file, "fit.scale" (of a set:
+    "fit.scale.SET"), "fit.offset" or "fit.drift"; bounds, start and prior in the
+    variable in which it is fitted; and whether what is measured is linear in it."""
 
     key: str
     transform: str
@@ -199,7 +185,7 @@ def section_of(file: RunFile) -> Fit:
     try:
         fit = Fit.model_validate(given)
     except pydantic.ValidationError as error:
-        raise InputError(_explain(error)) from None
+        raise InputError(_explain_section(error)) from None
     if not fit.free:
         raise InputError("fit.free: is empty; at least one key must be free")
     if isinstance(fit.scale, float):
@@ -241,13 +227,13 @@ def _flat(free: dict[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
             yield f"{above}{name}", content
 
 
-def _explain(error: pydantic.ValidationError) -> str:
+def _explain_section(error: pydantic.ValidationError) -> str:
     """One line about the first thing that is wrong."""
     first = error.errors(include_url=False)[0]
     place = [str(part) for part in first["loc"] if part not in ("Scale", "float")]
     field, value = ".".join(["fit", *place]), shown(first["input"])
     if first["type"] == "extra_forbidden":
-        section = _SECTIONS[place[0]] if place[1:] else Fit
+        section = _FIT_SECTIONS[place[0]] if place[1:] else Fit
         hint = meant(place[-1], section.model_fields, "known here: ")
         return f"{field}: unknown key; {hint}"
     if first["type"] == "missing":

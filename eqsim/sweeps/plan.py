@@ -22,21 +22,10 @@ MOST_POINTS = 1_000_000
 
 
 class Plan:
-    """All points of a run file's [sweep] table, checked.
-
-    Parameters
-    ----------
-    file : RunFile
-    ids : list of str, optional
-        Identities from an earlier plan, of which seeds are made, in the order of the
-        grid, the last axis fastest. Default: digests of parameters and
-        `RESULTS_VERSION`.
-
-    Raises
-    ------
-    InputError
-        For a table, or a point of it, that cannot be used.
-    """
+    """All points of a run file's [sweep] table, in the order of the grid, the last axis
+    fastest. Their identities, of which seeds are made, are digests of parameters and
+    `RESULTS_VERSION`, or `ids` from an earlier plan. Raises InputError for a table, or
+    a point of it, that cannot be used."""
 
     def __init__(self, file: RunFile, ids: list[str] | None = None) -> None:
         self.file = file

@@ -243,7 +243,7 @@ class Store:
         point_id, point = self.plan.ids[index], self.plan.at(index)
         row = {**parameters(point), **row, **physical(point, row)}
         row |= {"id": point_id, "seed": seed_of(point_id), "kind": self.kind}
-        self.rows.append(row | {"eqsim_version": _version()})
+        self.rows.append(row | {"eqsim_version": _eqsim_version()})
         self.done.add(point_id)
         if len(self.rows) >= _FLUSH_ROWS:
             self.flush()
@@ -314,5 +314,5 @@ def _digest(content: bytes) -> str:
 
 
 @functools.cache
-def _version() -> str:
+def _eqsim_version() -> str:
     return storage.versions()["eqsim"]

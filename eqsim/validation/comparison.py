@@ -160,11 +160,11 @@ def stream(*numbers: int) -> int:
 
 def columns(scores: list[Score]) -> dict[str, list[Any]]:
     """The scores as columns of a table, one row per comparison."""
-    rows = [dict(_row(score)) for score in scores]
+    rows = [dict(_table_row(score)) for score in scores]
     return {name: [row[name] for row in rows] for name in rows[0]} if rows else {}
 
 
-def _row(score: Score) -> Iterator[tuple[str, Any]]:
+def _table_row(score: Score) -> Iterator[tuple[str, Any]]:
     """Name and content of each cell of a comparison; NaN where there is none."""
     of, aging = score.ensemble, score.ensemble.aging
     yield from {
