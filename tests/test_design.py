@@ -12,7 +12,7 @@ from eqsim.cli.app import app
 from eqsim.fitting.data import read_table
 from eqsim.fitting.design import expected
 from eqsim.fitting.estimate import minimise
-from eqsim.fitting.model import DERIVATIVE_STEP
+from eqsim.fitting.model import DERIVATIVE_STEP as STEP
 from eqsim.fitting.profiles import LEVELS
 from eqsim.fitting.section import section_of
 from eqsim.io.runfile import load
@@ -58,12 +58,9 @@ def test_derivatives():
     u = problem.start
     for i in range(u.size):
         up, down = (
-            u + sign * 0.5 * DERIVATIVE_STEP * (np.arange(u.size) == i)
-            for sign in (1.0, -1.0)
+            u + sign * 0.5 * STEP * (np.arange(u.size) == i) for sign in (1.0, -1.0)
         )
-        column = (
-            (problem.given(up) - problem.given(down)) / DERIVATIVE_STEP / problem.sigma
-        )
+        column = (problem.given(up) - problem.given(down)) / STEP / problem.sigma
         jacobian = problem.jacobian(u)[:, i]
         np.testing.assert_allclose(
             jacobian, column, rtol=0, atol=1e-6 * np.abs(jacobian).max()

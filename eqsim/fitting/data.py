@@ -112,23 +112,16 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Measurements:
                 measured.append((len(rows), name))
                 values.append((line.value(name), _sigma(line, name, fit)))
             elif cells.get(f"{name}_stderr"):
-                raise InputError(
-                    f"{where}{name}_stderr is there without a value of {name}"
-                )
-        rows.append(
-            MeasuredAt(
-                changes, kelvin / unit, cells.get("set", "").strip(), line.number
-            )
-        )
+                raise InputError(f"{where}{name}_stderr has no {name} beside it")
+        name_of_set = cells.get("set", "").strip()
+        rows.append(MeasuredAt(changes, kelvin / unit, name_of_set, line.number))
         temperatures.append(kelvin)
     if not measured:
         raise InputError("fit.data: there is no measurement in it")
     row_of, names_of = (list(column) for column in zip(*measured, strict=True))
     for name in observables:
         if name not in names_of:
-            raise InputError(
-                f'fit.data: column "{name}" has no value in any line; leave it out'
-            )
+            raise InputError(f'fit.data: column "{name}" is empty; leave it out')
     value, sigma = np.array(values).T
     at, kelvins = np.array(row_of), np.array(temperatures)
     return Measurements(rows, at, names_of, value, sigma, names, kelvins, sheet.sha256)
@@ -145,10 +138,7 @@ def _checked_columns(
     for name in header:
         sheet.index(name)  # refuses a name that is there twice
         if name in fit.free:
-            raise InputError(
-                f"fit.free.{name}: is a column of the data; a key is either free or "
-                "given by each row"
-            )
+            raise InputError(f"fit.free.{name}: is a column of the data, so not free")
         allowed = [*known, *MEASURED, *errors, "set"]
         if name not in (*allowed, fit.temperature):
             raise InputError(
@@ -156,20 +146,13 @@ def _checked_columns(
                 f"{meant(name, allowed) or _KNOWN_COLUMNS}"
             )
         if name in errors and name.removesuffix("_stderr") not in header:
-            raise InputError(
-                f'fit.data: column "{name}" is there without a column '
-                f'"{name.removesuffix("_stderr")}"'
-            )
+            raise InputError(f'fit.data: column "{name}" has no observable beside it')
     if fit.temperature not in (None, *header):
-        raise InputError(
-            f'fit.temperature = "{fit.temperature}": the data have no such column; '
-            f"there are {', '.join(header)}"
-        )
+        given = f'fit.temperature = "{fit.temperature}"'
+        raise InputError(f"{given}: no such column; there are {', '.join(header)}")
     observables = [name for name in MEASURED if name in header]
     if not observables:
-        raise InputError(
-            f"fit.data: no column is an observable; known are {', '.join(MEASURED)}"
-        )
+        raise InputError(f"fit.data: needs an observable: {', '.join(MEASURED)}")
     return [name for name in header if name in known], observables
 
 
@@ -179,19 +162,13 @@ def _sigma(line: Line, name: str, fit: Fit) -> float:
     if text:
         sigma = csv.value_of(text)
         if not 0 < sigma < math.inf:
-            raise InputError(
-                f"{where}{name}_stderr = {text[:40]}: must be a finite number > 0"
-            )
+            given = f"{name}_stderr = {text[:40]}"
+            raise InputError(f"{where}{given}: must be finite and > 0")
         return sigma
     value, noise = line.value(name), fit.noise
     if noise.relative == 0 and noise.absolute == 0:
-        raise InputError(
-            f"{where}{name} has no {name}_stderr; give one, or noise = "
-            "{ relative = ... } in [fit]"
-        )
+        raise InputError(f"{where}{name} has no {name}_stderr; give one, or fit.noise")
     if value <= 0 and noise.absolute == 0:
-        raise InputError(
-            f"{where}{name} = {value:g}: must be > 0, as its error is relative; give "
-            "an absolute one too"
-        )
+        given = f"{where}{name} = {value:g}"
+        raise InputError(f"{given}: must be > 0 without fit.noise.absolute")
     return math.hypot(noise.relative * value, noise.absolute)

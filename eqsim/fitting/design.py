@@ -36,10 +36,8 @@ class Limits(NamedTuple):
         for value in self:
             require_number(f"--{name}", value, above=0)
         if self.low > self.high:
-            raise InputError(
-                f"--{name} {self.low:g},{self.high:g}: the first must not be larger "
-                "than the second"
-            )
+            given = f"--{name} {self.low:g},{self.high:g}"
+            raise InputError(f"{given}: the first must not be larger")
         return space(*self, count if self.low < self.high else 1)
 
 
@@ -124,15 +122,11 @@ def _best(fitted: Path, prepared: Prepared) -> Array:
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"--fit {fitted}: holds no fit.json of `eqsim fit`") from None
     if digest != prepared.table.sha256:
-        raise InputError(
-            f"--fit {fitted}: is a fit of other data than fit.data of the run file"
-        )
+        raise InputError(f"--fit {fitted}: is a fit of other data than fit.data")
     problem = prepared.problem
     if values.keys() != set(problem.keys):
         keys = ", ".join(values)
-        raise InputError(
-            f"--fit {fitted}: has other free keys than the run file: {keys}"
-        )
+        raise InputError(f"--fit {fitted}: has other free keys than the file: {keys}")
     u = [one.variable(values[one.key]) for one in problem.parameters]
     return np.clip(u, problem.low, problem.high)
 
@@ -146,14 +140,10 @@ def _candidates(
     known = [v for v in map(velocity_of, table.rows) if v is not None]
     if velocities is None:
         if not known:
-            raise InputError(
-                "--velocity: is required, as the data have no column drive.velocity"
-            )
+            raise InputError("--velocity: is required without a column drive.velocity")
         velocities = Limits(min(known) / _BEYOND, max(known) * _BEYOND)
     if temperatures is not None and prepared.fit.temperature is None:
-        raise InputError(
-            "--temperature: not allowed without fit.temperature, their column"
-        )
+        raise InputError("--temperature: not allowed without fit.temperature")
     measured = table.temperatures.tolist()
     temperatures = temperatures or Limits(min(measured), max(measured))
     v = Limits(*velocities).spaced("velocity", np.geomspace, _VELOCITIES)
@@ -167,10 +157,7 @@ def _measurable(prepared: Prepared, u: Array, v: Array, T: Array) -> Problem:
     problem, table, fit = prepared.problem, prepared.table, prepared.fit
     force = np.array(table.observable) == "friction"
     if not force.any():
-        raise InputError(
-            "fit.data: design needs measurements of friction, whose errors it takes "
-            "for the next ones"
-        )
+        raise InputError("fit.data: design needs measurements of friction")
     relative = float(np.median(table.sigma[force] / np.abs(table.value[force])))
     heat = T / (fit.reference_temperature or 1.0) if fit.temperature else T**0
     rows = [

@@ -202,13 +202,11 @@ def ladder(keys: list[str], jacobian: Array) -> list[Direction]:
         ratio, sd = 0.0, math.inf
         if value > 0:
             ratio, sd = float(value / singular[0] ** 2), 1.0 / math.sqrt(value)
-        found.append(
-            Direction(value, ratio, sd, components, _direction_name(components))
-        )
+        found.append(Direction(value, ratio, sd, components, _product(components)))
     return found
 
 
-def _direction_name(components: dict[str, float]) -> str:
+def _product(components: dict[str, float]) -> str:
     """A product of powers of the keys that a direction moves, that which moves most
     first."""
     order = sorted(components.items(), key=lambda item: -abs(item[1]))

@@ -292,10 +292,8 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
     if section.record is not None and table.time is not None:
         stiffness = section.record.machine_stiffness
         if stiffness is not None and "drive.stage.stiffness" in keys:
-            raise InputError(
-                "fit.free.drive.stage.stiffness: not allowed with "
-                "fit.record.machine_stiffness"
-            )
+            both = "not allowed with fit.record.machine_stiffness"
+            raise InputError(f"fit.free.drive.stage.stiffness: {both}")
         forward = RecordForward(file, table.time, stiffness, fixed)
         shapes = np.ones(table.time.size), table.time - table.time.mean()
         for (key, name), shape in zip(NUISANCES.items(), shapes, strict=True):
@@ -332,9 +330,7 @@ def _check_rows(file: RunFile, table: Measurements) -> None:
     drive can have."""
     for name in ("programme", "file", "stage"):
         if file[f"drive.{name}"] is not None:
-            raise InputError(
-                f"drive.{name}: not allowed with fit.data, a table of steady values"
-            )
+            raise InputError(f"drive.{name}: not allowed with fit.data, steady values")
     _ = file.ensemble  # what the run file itself has wrong is not a row's fault
     seen = set()
     for row in table.rows:

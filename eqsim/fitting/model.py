@@ -84,9 +84,7 @@ class SteadyForward:
             given = [velocity_of(self.rows[index]) for index in members]
             v = [file["drive.velocity"] if one is None else one for one in given]
             if None in v:
-                raise InputError(
-                    "drive.velocity: is required, in the run file or as a data column"
-                )
+                raise InputError("drive.velocity: is required, in the file or the data")
             names = [self.observable[index] for index in members]
             if not set(AVERAGES).isdisjoint(names):
                 steady = curve(file.ensemble, np.array(v))
@@ -107,13 +105,10 @@ def other_observable(
     of a contact's force over k, or the static peak of `master.peak`, where it is and
     how far above the steady force. Raises InputError where there is none."""
     if name == "force_std":
-        still = transient(
-            ensemble, Drive(velocity, start="stationary"), 2, variance=True
-        )
+        drive = Drive(velocity, start="stationary")
+        still = transient(ensemble, drive, 2, variance=True)
         if still.force_variance is None or still.force_variance_error is None:
-            raise InputError(
-                "force_std: contacts stay in step, the force has no steady variance"
-            )
+            raise InputError("force_std: no steady variance, contacts stay in step")
         sd = math.sqrt(still.force_variance[0])
         return sd, float(still.force_variance_error[0]) / (2.0 * sd)
     peak = first_peak(ensemble, velocity)

@@ -35,13 +35,13 @@ from eqsim.numerics.tables import Array
 # Steps of derivatives: where solves choose their own steps, and where these are given.
 STEP_CHOSEN = 2e-2
 _STEP_GIVEN = 1e-3
-# How often a search_record chooses the steps of solves anew, as long as chi-square falls by
+# How often a search chooses the steps of solves anew, as long as chi-square falls by
 # more than this share.
 _MOST_SEARCHES = 6
 _CHI2_FALL = 1e-3
-# Size of the steps of `force_of` for a search_record.
+# Size of the steps of `force_of` for a search.
 _COARSE_SIZE = 0.7
-# Steps of a solve in a search_record: steady sliding takes some hundred, a slip a thousand.
+# Steps of a solve in a search: steady sliding takes some hundred, a slip a thousand.
 _MOST_SOLVER_STEPS = 4000
 # Correlation of neighbours below which they are independent.
 _LEAST_CORRELATION = 0.02
@@ -58,10 +58,8 @@ def read_record(path: Path, fit: Fit) -> Measurements:
     for key in ("time", "force", "stderr"):
         name = getattr(record, key)
         if name not in (None, *sheet.columns):
-            there = ", ".join(sheet.columns)
-            raise InputError(
-                f'fit.record.{key} = "{name}": no such column; there are {there}'
-            )
+            given, there = f'fit.record.{key} = "{name}"', ", ".join(sheet.columns)
+            raise InputError(f"{given}: no such column; there are {there}")
         if name is not None:
             sheet.index(name)  # refuses a name that is there twice
     for line in lines(sheet, "fit.record.file"):
@@ -71,15 +69,11 @@ def read_record(path: Path, fit: Fit) -> Measurements:
             raise InputError(f"{line.where}{record.stderr} = {error:g}: must be >= 0")
         sigma = math.hypot(error, noise.absolute, noise.relative * force)
         if not sigma > 0:
-            raise InputError(
-                f"{line.where}{record.force} has no error; give stderr > 0 or noise in "
-                "[fit]"
-            )
+            cure = "give fit.record.stderr or fit.noise"
+            raise InputError(f"{line.where}{record.force} has no error; {cure}")
         if points and not t > points[-1][0]:
-            raise InputError(
-                f"{line.where}{record.time} = {t:g}: must be later than the "
-                f"{points[-1][0]:g} before it"
-            )
+            given = f"{line.where}{record.time} = {t:g}"
+            raise InputError(f"{given}: must be later than {points[-1][0]:g} before it")
         points.append((t, force, sigma))
     if not points or points[0][0] < 0:
         wrong = "begins before time 0" if points else "is empty"
@@ -156,7 +150,7 @@ class RecordForward:
         return replace(self, correction=None, error=None, steps=steps)
 
     def _coarse(self, along: _Along) -> Array:
-        """The force by the steps of a search_record."""
+        """The force by the steps of a search."""
         force = force_of(*along[:3], _COARSE_SIZE, _MOST_SOLVER_STEPS, self.steps)
         return force[along.points]
 
@@ -169,18 +163,14 @@ class RecordForward:
             raise InputError("drive.programme: is required with fit.record")
         if self.machine_stiffness is not None:
             if programme.stage is None:
-                raise InputError(
-                    "drive.stage: is required with fit.record.machine_stiffness"
-                )
+                raise InputError("drive.stage: is required with machine_stiffness")
             scale = changes.get("fit.scale", self.fixed_scale)
             stage = replace(programme.stage, stiffness=self.machine_stiffness / scale)
             programme = replace(programme, stage=stage)
         ends = np.cumsum([segment.duration for segment in programme.segments])
         if self.time[-1] > ends[-1] * (1.0 + 1e-9):
-            raise InputError(
-                f"fit.record: ends at {self.time[-1]:g}, after the programme, which "
-                f"takes {ends[-1]:g}"
-            )
+            end = f"fit.record: ends at {self.time[-1]:g}"
+            raise InputError(f"{end}, after the programme, which takes {ends[-1]:g}")
         time = np.minimum(self.time, ends[-1])
         t = np.unique(np.concatenate(([0.0], time, ends)))
         segment = np.minimum(np.searchsorted(ends, t * (1.0 - 1e-12)), ends.size - 1)

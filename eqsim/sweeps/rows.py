@@ -23,6 +23,9 @@ from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
 
+# Columns of a row and their content.
+RowCells = dict[str, Any]
+
 # Observables of any segment of a programme, and of a velocity step.
 OF_SEGMENT = ("end", "peak", "at")
 OF_STEP = ("direct", "evolution", "memory")
@@ -56,21 +59,19 @@ class Asked:
 
 def compute(
     tasks: list[Task], asked: Asked, threads: int, version: int
-) -> list[dict[str, Any]]:
+) -> list[RowCells]:
     """The columns of some points that a worker finds by computing. Raises InputError if
     this worker's results are not of `version`."""
     if version != RESULTS_VERSION:
-        raise InputError(
-            "a worker runs other code (results version "
-            f"{RESULTS_VERSION}, not {version})"
-        )
+        versions = f"results version {RESULTS_VERSION}, not {version}"
+        raise InputError(f"a worker runs other code ({versions})")
     return [_point_row(task, asked, threads) for task in tasks]
 
 
-def _point_row(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
+def _point_row(task: Task, asked: Asked, threads: int) -> RowCells:
     """The columns of a point; a mistake of its parameters is its message."""
     begin = time.perf_counter()
-    how: dict[str, Any] = {
+    how: RowCells = {
         "seed": task.seed,
         "threads": threads,
         "max_lives": asked.max_lives,
@@ -78,12 +79,12 @@ def _point_row(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
     sampled = how | {"points": task.points, "replicas": task.replicas}
     try:
         if isinstance(drive := task.drive, Programme):
-            row = _programme_cells(task, drive, sampled)
+            row = _programme(task, drive, sampled)
         elif drive.elastic:
-            row = _elastic_cells(task, drive, sampled)
+            row = _elastic(task, drive, sampled)
         elif asked.transient:
             found = trajectory(task.ensemble, drive, **sampled)
-            row = _averages_cells(found.averages, found.lives, [])
+            row = _averages_row(found.averages, found.lives, [])
         else:
             row = _steady_cells(task, drive, how | {"rel_error": asked.rel_error})
     except MemoryError:  # the machine's fault, not the point's
@@ -94,29 +95,29 @@ def _point_row(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
     return {**row, "seconds": time.perf_counter() - begin}
 
 
-def _steady_cells(task: Task, drive: Drive, how: dict[str, Any]) -> dict[str, Any]:
+def _steady_cells(task: Task, drive: Drive, how: RowCells) -> RowCells:
     found = steady(task.ensemble, drive, **how)
     missed = f"relative error {how['rel_error']:g} was not reached"
-    row = _averages_cells(found, found.lives, [] if found.reached else [missed])
+    row = _averages_row(found, found.lives, [] if found.reached else [missed])
     try:
         exact = reference(task.ensemble, drive)
     except InputError as error:
         return row | _no_reference(row, error)
     row["reference_method"] = exact.method
     for name, level in exact.averages().items():
-        row |= _estimate_cells(name, found.averages()[name], level)
+        row |= _filled(name, found.averages()[name], level)
     return row
 
 
-def _elastic_cells(task: Task, drive: Drive, how: dict[str, Any]) -> dict[str, Any]:
+def _elastic(task: Task, drive: Drive, how: RowCells) -> RowCells:
     ensemble, blocks = task.ensemble, drive.elastic
     assert blocks
     found = elastic_trajectory(ensemble, drive, **how)
     exact, friction = reference(ensemble, replace(drive, elastic=None)), found.friction
     reliable = friction.reliable and found.size.reliable
-    row = _status_cells(found.lives, [] if reliable else [_TOO_SHORT])
+    row = _status(found.lives, [] if reliable else [_TOO_SHORT])
     row |= {"reference_method": exact.method}
-    row |= _estimate_cells("friction", friction, exact.friction)
+    row |= _filled("friction", friction, exact.friction)
     size = single = None
     law = ensemble.thresholds
     if not law.steps.size:  # equal thresholds break together: no law of sizes is known
@@ -126,19 +127,17 @@ def _elastic_cells(task: Task, drive: Drive, how: dict[str, Any]) -> dict[str, A
         single = Estimate(alone, abs(few.single), 0)
     return (
         row
-        | _estimate_cells("size", found.size, size)
-        | _estimate_cells("single", found.single, single)
+        | _filled("size", found.size, size)
+        | _filled("single", found.single, single)
     )
 
 
-def _programme_cells(
-    task: Task, programme: Programme, how: dict[str, Any]
-) -> dict[str, Any]:
+def _programme(task: Task, programme: Programme, how: RowCells) -> RowCells:
     found = trajectory(task.ensemble, programme, **how)
     if isinstance(found, SliderTrajectory):
-        return _slip_cells(found)
+        return _slip_columns(found)
     doubt = "error bars of forces cannot be trusted"
-    row = _status_cells(found.lives, [] if found.force_reliable else [doubt])
+    row = _status(found.lives, [] if found.force_reliable else [doubt])
     exact: tuple[SegmentRecord, ...] = ()
     try:
         means = transient(task.ensemble, programme, task.points)
@@ -150,18 +149,18 @@ def _programme_cells(
     for index, segment in enumerate(found.segments):
         levels = _of_segment(exact[index]) if exact else {}
         for name, ours in _of_segment(segment).items():
-            row |= _estimate_cells(f"segment_{index}_{name}", ours, levels.get(name))
+            row |= _filled(f"segment_{index}_{name}", ours, levels.get(name))
     return row
 
 
-def _slip_cells(found: SliderTrajectory) -> dict[str, Any]:
+def _slip_columns(found: SliderTrajectory) -> RowCells:
     """Columns of the slips of a slider that a stage pulls; its forces are not asked
     for."""
     period, drop = found.period, found.drop
     few = not period.reliable and not period.n == drop.n == 0
-    row = _status_cells(found.lives, ["few slips"] if few else [])
+    row = _status(found.lives, ["few slips"] if few else [])
     row |= {"slips": len(found.slips)}
-    return row | _estimate_cells("period", period) | _estimate_cells("drop", drop)
+    return row | _filled("period", period) | _filled("drop", drop)
 
 
 def _of_segment(segment: SegmentRecord) -> dict[str, Estimate]:
@@ -171,36 +170,32 @@ def _of_segment(segment: SegmentRecord) -> dict[str, Estimate]:
     return {name: estimate for name, estimate in found.items() if estimate}
 
 
-def _averages_cells(
-    averages: Averages, lives: int, problems: list[str]
-) -> dict[str, Any]:
+def _averages_row(averages: Averages, lives: int, problems: list[str]) -> RowCells:
     """Columns of estimates, and what is wrong with them besides `problems`."""
     every = averages.averages()
     doubtful = [name for name, e in every.items() if not (e.reliable or e.diverges)]
     if doubtful:
         said = f"error bars of {', '.join(doubtful)} cannot be trusted"
         problems = [said, *problems]
-    row = _status_cells(lives, problems)
+    row = _status(lives, problems)
     for name, e in every.items():
-        row |= _estimate_cells(name, e)
+        row |= _filled(name, e)
     return row
 
 
-def _status_cells(lives: int, problems: list[str]) -> dict[str, Any]:
+def _status(lives: int, problems: list[str]) -> RowCells:
     """Columns that say whether a row can be trusted."""
     status = "unreliable" if problems else "ok"
     return {"lives": lives, "status": status, "message": "; ".join(problems) or None}
 
 
-def _no_reference(row: dict[str, Any], error: InputError) -> dict[str, str]:
+def _no_reference(row: RowCells, error: InputError) -> dict[str, str]:
     """The message of a row without a reference."""
     said = (row["message"], f"no reference: {error}")
     return {"message": "; ".join(filter(None, said))}
 
 
-def _estimate_cells(
-    name: str, ours: Estimate, level: Estimate | None = None
-) -> dict[str, Any]:
+def _filled(name: str, ours: Estimate, level: Estimate | None = None) -> RowCells:
     """Columns of an estimate, and of a reference; the schema leaves out those that it
     has not."""
     cells = {

@@ -101,9 +101,8 @@ def sample(
         v = 10 ** rng.uniform(-4, 2)
         kT = 0.0 if index % 10 == 9 else 10 ** rng.uniform(-2, 0.5)
         delay = 0.0 if rng.random() < 0.4 else 10 ** rng.uniform(-3, 3)  # in lives
-        law = _drawn_thresholds(
-            kinds.get(index, "gamma"), 10 ** rng.uniform(-0.5, 0.5), laws
-        )
+        kind, unit = kinds.get(index, "gamma"), 10 ** rng.uniform(-0.5, 0.5)
+        law = _drawn_thresholds(kind, unit, laws)
         unit = law.scale
         ensemble = Ensemble(
             law,

@@ -77,7 +77,7 @@ def compare_pulled(point: Point, plan: Suite) -> Found:
     return [one for compare in chosen for one in compare(point, plan)]
 
 
-def _plain_contacts(ensemble: Ensemble, count: int, delay: Delay) -> Ensemble:
+def _bare(ensemble: Ensemble, count: int, delay: Delay) -> Ensemble:
     """So many contacts with the same thresholds, stiffness and heat, without aging and
     viscosity, born unstretched."""
     ensemble = replace(ensemble, eta=0.0, aging=Aging(), newborn=Newborn())
@@ -187,9 +187,7 @@ def _hold(
     stretch = rng.uniform(0.2, 0.8) * point.ensemble.thresholds.mean
     preload = float(f"{stretch * (1.0 + kappa) / kappa:.4g}")
     stage = Stage(kappa, preload=preload, tolerance=tolerance)
-    pinned = pinned_in_hold(
-        _plain_contacts(ensemble, 1, Delay()), stage, _PER_OCTAVE[1]
-    )
+    pinned = pinned_in_hold(_bare(ensemble, 1, Delay()), stage, _PER_OCTAVE[1])
     aim = pinned(0.0) * rng.uniform(0.3, 0.7)
     low, high = -3.0, math.log10(_LONGEST_HOLD)
     if pinned(10**high) > aim:
@@ -212,7 +210,7 @@ def _pinned(point: Point, waits: Delay, looks: int, seed: int, plan: Suite) -> E
     """The pinned share at the end of a hold. Raises LeftOut if all replicas agree."""
     hold = Segment(0.0, time=point.time, points=looks)
     run = trajectory(
-        _plain_contacts(point.shown, point.contacts, waits),
+        _bare(point.shown, point.contacts, waits),
         Programme((hold,), stage=point.stage),
         points=2,
         seed=seed,
@@ -226,9 +224,9 @@ def _pinned(point: Point, waits: Delay, looks: int, seed: int, plan: Suite) -> E
 
 @compares("hold")
 def holds(point: Point, plan: Suite) -> Found:
-    """The pinned share of one or two contacts after a hold of the stage, or of a hundred
-    behind a spring that is all but rigid, against the exact law; all detached ones stay
-    so."""
+    """The pinned share after a hold of the stage, against the exact law: of one or two
+    contacts, or of a hundred behind a spring that is all but rigid; all detached ones
+    stay so."""
     rng = point.rng(6)
     held = _hold(point, rng, 10 ** rng.uniform(-1.5, 0.5), plan.tolerance)
     counts = [1, 2, _RIGID] if plan.replicas >= _REPLICAS_OF_ONE else [2, _RIGID]
@@ -238,7 +236,7 @@ def holds(point: Point, plan: Suite) -> Found:
     assert held.stage is not None
     waits = Delay(held.time * 10 ** rng.uniform(6, 12))
     ours = _pinned(held, waits, 1, held.stream(6), plan)
-    ensemble = _plain_contacts(held.ensemble, held.contacts, waits)
+    ensemble = _bare(held.ensemble, held.contacts, waits)
     each = _PER_OCTAVE.get(held.contacts, _PER_OCTAVE[1])
     value, coarse = (
         pinned_in_hold(ensemble, held.stage, n)(held.time) for n in (2 * each, each)
@@ -278,15 +276,13 @@ class _Pull(NamedTuple):
 def steps(point: Point, plan: Suite) -> Found:
     """A damped slider on 10 to 100 contacts whose stage moves by 1.5 mean thresholds:
     its displacement in steps of the largest tolerance and one ten times smaller. With
-    the same random numbers replicas are compare_pulled one by one, so that what steps cost
+    the same random numbers replicas are compared one by one, so that what steps cost
     shows beside their scatter; the error is that of the mean difference and what the
     quoted errors have beyond the scatter of replicas."""
     rng, n, v = point.rng(8), plan.replicas, point.velocity
     count, kappa = int(rng.choice([10, 30, 100])), float(10 ** rng.uniform(-0.3, 0.7))
-    shown, mean = (
-        _plain_contacts(point.shown, count, Delay()),
-        point.ensemble.thresholds.mean,
-    )
+    shown = _bare(point.shown, count, Delay())
+    mean = point.ensemble.thresholds.mean
     stage, pulls = Stage(kappa, damping=0.5 * mean / v, tolerance=1e-2), list[_Pull]()
     segments = (Segment(v, distance=1.5 * mean, points=1),)
     for tolerance in (1e-2, 1e-3):
@@ -328,7 +324,7 @@ def avalanches(point: Point, plan: Suite) -> Found:
     rho = load_of(law, kappa, stiffness)
     few = missed_by_few(law, rho, _AVALANCHING, stiffness)
     alone = float(size_law(law, rho, 1, stiffness)[0])
-    shown = _plain_contacts(point.shown, _AVALANCHING, Delay())
+    shown = _bare(point.shown, _AVALANCHING, Delay())
     shown = replace(shown, thermal=replace(shown.thermal, kT=0.0))
     stage, distance = Stage(kappa, preload=None), 3.0 * law.mean
     segments = (Segment(1.0, distance=distance, points=1),)

@@ -74,7 +74,7 @@ _LARGEST_SHARE = 0.2
 # Groups of contacts, whose scatter is the error of a variance.
 _GROUPS = 64
 # Cells of the grid of a transient, times thresholds of a table.
-_TRANSIENT_CELLS = 120_000
+_GRID_CELLS = 120_000
 # How far, relatively, below a threshold of a table contacts that have it still live.
 _JUST_BELOW = 1e-13
 # Contacts of a pilot, at most.
@@ -216,9 +216,9 @@ def _score_end(
         scores = [point.score(kinds[0], ours, end.mean)]
     group = replace(shown, count=shown.count // _GROUPS)
     enough = min(few, broken) >= _ENOUGH_SQUARES
-    if not (enough and _many(_variance_about(level, group, end.drive, pilot))):
+    if not (enough and _many(_mean_squares(level, group, end.drive, pilot))):
         return scores + point.without(kinds[1:], "few contacts")
-    ours = mean_of(_variance_about(level, group, end.drive, groups), 0, _GROUPS - 1)
+    ours = mean_of(_mean_squares(level, group, end.drive, groups), 0, _GROUPS - 1)
     return [*scores, point.score(kinds[1], ours, end.variance)]
 
 
@@ -252,9 +252,7 @@ def transients(point: Point, plan: Suite) -> Found:
     sized = _affordable(point, plan, whole, 20_000, 1e6)
     # near jumps of F the error is what a few cells of the grid make of it
     steps = ensemble.thresholds.steps.size
-    every = (
-        max(1, _TRANSIENT_CELLS // (_DISPLACEMENTS * max(12, steps))) if steps else 1
-    )
+    every = max(1, _GRID_CELLS // (_DISPLACEMENTS * max(12, steps))) if steps else 1
     exact = transient(ensemble, whole, points=_DISPLACEMENTS * every + 1, variance=True)
     if exact.force_variance is None or exact.force_variance_error is None:
         raise LeftOut("vague")
@@ -318,18 +316,16 @@ def _pieces(
         return [hold]
     if kind == "crawl":
         return [Segment(v * 10 ** rng.uniform(-25, -12), time=time, points=1)]
-    velocity, each = (
-        life * 10 ** rng.uniform(-18, -8) / (time / _JITTER),
-        time / _JITTER,
-    )
+    each = time / _JITTER
+    velocity = life * 10 ** rng.uniform(-18, -8) / each
     signs = (1, -1) * (_JITTER // 2)
     return [Segment(sign * velocity, time=each, points=1) for sign in signs]
 
 
 @compares("programme", "programme variance", each=_SEGMENTS_COMPARED)
 def programmes(point: Point, plan: Suite) -> Found:
-    """The force at the end of each segment of a programme (steps, holds, crawls, jitter,
-    reversals), from an ensemble of its own, and from another its variance."""
+    """The force at the end of each segment of a programme (steps, holds, crawls,
+    jitter, reversals), from an ensemble of its own, and from another its variance."""
     whole, same, ends, moved = programme_of(point)
     sized = _affordable(point, plan, whole, 100_000, 4e6)
     try:
@@ -374,7 +370,7 @@ def _carrying(level: float, variance: float, pinned: float, drag: float) -> floa
     return min(share, pinned, 1.0 - pinned if drag else 1.0)
 
 
-def _variance_about(
+def _mean_squares(
     level: float, group: Ensemble, drive: Drive | Programme, seed: int
 ) -> Array:
     """The variance of F/k per contact about its expectation, at the end of the drive,
@@ -486,10 +482,9 @@ def fluctuating(point: Point, plan: Suite) -> Found:
     at_once = point.drive(1e-6 * lag, "stationary")
     group = replace(shown, count=max(1, min(count * ensembles, _PILOT) // _GROUPS))
     of_squares = carry / _ENOUGH_SQUARES
-    if of_squares >= 1.0 and not _many(
-        _variance_about(level, group, at_once, point.stream(1))
-    ):
-        of_squares = 0.0
+    if of_squares >= 1.0:
+        found = _mean_squares(level, group, at_once, point.stream(1))
+        of_squares *= _many(found)
     forces, _ = _forces(shown, point.drive(lag, "stationary"), ensembles, point.seed)
     first, second = (forces - level).T
     # what the error of C can do
