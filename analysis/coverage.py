@@ -24,12 +24,12 @@ from scipy import stats
 
 from eqsim import Ensemble, Gamma, Thermal
 from eqsim.fitting import posterior
-from eqsim.fitting.data import Row, Table
+from eqsim.fitting.data import MeasuredAt, Measurements
 from eqsim.fitting.estimate import covariance, minimise
 from eqsim.fitting.fit import problem_of
 from eqsim.fitting.model import Problem
 from eqsim.fitting.profiles import LEVELS
-from eqsim.fitting.record import settled
+from eqsim.fitting.record import settle_steps
 from eqsim.fitting.section import section_of
 from eqsim.io.runfile import check
 
@@ -87,12 +87,14 @@ def problem(case: Case, free: tuple[str, ...] = FREE, **changes: dict) -> Proble
     }
     file = check(content)
     rows = [
-        Row((("drive.velocity", float(v)),), heat, "")
+        MeasuredAt((("drive.velocity", float(v)),), heat, "")
         for heat in case.heats
         for v in case.velocities
     ]
     n, ones, names = len(rows), np.ones(len(rows)), ["drive.velocity"]
-    table = Table(rows, np.arange(n), ["friction"] * n, ones, ones, names, ones, "")
+    table = Measurements(
+        rows, np.arange(n), ["friction"] * n, ones, ones, names, ones, ""
+    )
     found = problem_of(file, section_of(file), table)
     exact = found.given(found.start)
     return replace(found, value=exact, sigma=NOISE * exact)
@@ -154,11 +156,11 @@ def record() -> Problem:
     81 points, exact."""
     file = check(tomllib.loads(RECORD))
     time = np.linspace(0.0, 5.0, 81)
-    ones, rows, names = np.ones(81), [Row((), 1.0, "")], ["friction"] * 81
+    ones, rows, names = np.ones(81), [MeasuredAt((), 1.0, "")], ["friction"] * 81
     row_of = np.zeros(81, int)
-    table = Table(rows, row_of, names, ones, 0.003 * ones, [], ones, "", time)
+    table = Measurements(rows, row_of, names, ones, 0.003 * ones, [], ones, "", time)
     found = problem_of(file, section_of(file), table)
-    found = settled(found, found.start)
+    found = settle_steps(found, found.start)
     return replace(found, value=found.given(found.start), correlation=np.full(80, RHO))
 
 
@@ -232,7 +234,7 @@ def below(exact: Problem, sets: int, seed: int) -> Iterator[dict[str, float]]:
             + exact.sigma * rng.standard_normal(exact.value.size),
         )
         best = minimise(one, exact.start).u
-        drawn = posterior.sample(one, best, covariance(one.jacobian(best)), rng)
+        drawn = posterior.draw_posterior(one, best, covariance(one.jacobian(best)), rng)
         shares = np.mean(drawn.points < truth, axis=0)
         yield {
             parameter.key: float(share)

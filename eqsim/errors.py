@@ -73,10 +73,8 @@ def require_package(extra: str, *packages: str) -> Any:
         try:
             found = import_module(package)
         except ImportError:
-            raise InputError(
-                f'--{extra}: needs the package "{package}" '
-                f'(pip install "eqsim[{extra}]")'
-            ) from None
+            said = f'needs the package "{package}" (pip install "eqsim[{extra}]")'
+            raise InputError(f"--{extra}: {said}") from None
     return found
 
 

@@ -12,7 +12,7 @@ from eqsim.cli.app import app
 from eqsim.fitting.data import read_table
 from eqsim.fitting.design import expected
 from eqsim.fitting.estimate import minimise
-from eqsim.fitting.model import STEP
+from eqsim.fitting.model import DERIVATIVE_STEP as STEP
 from eqsim.fitting.profiles import LEVELS
 from eqsim.fitting.section import section_of
 from eqsim.io.runfile import load

@@ -77,9 +77,8 @@ def test_command(folder):
     """Files, a table, a run file of the best fit that the reference accepts; and the
     same from two processes."""
     out = folder / "out"
-    result = call(
-        "fit", folder / "run.toml", "--out", out, "--starts", "2", "--workers", "1"
-    )
+    command = "fit", folder / "run.toml", "--starts", "2", "--workers"
+    result = call(*command, "1", "--out", out)
     assert result.exit_code == 0, result.output
     assert "thermal.kT" in result.output
     assert "determined" in result.output
@@ -114,17 +113,7 @@ def test_command(folder):
     best = load(out / "run.toml")
     assert best["thermal.kT"] == kT["estimate"]
     assert json.loads(done.output)["friction"] > 0
-    twice = call(
-        "fit",
-        folder / "run.toml",
-        "--out",
-        folder / "twice",
-        "--starts",
-        "2",
-        "--workers",
-        "2",
-        "--json",
-    )
+    twice = call(*command, "2", "--out", folder / "twice", "--json")
     assert twice.exit_code == 0, twice.output
     assert json.loads(twice.output) == found
     assert (folder / "twice" / "profiles.parquet").read_bytes() == (
@@ -525,12 +514,12 @@ BAD = {
     "unknown column": ({}, {}, DATA.replace("friction", "frictoin"), 'did you mean "friction"'),
     "no value": ({}, {}, DATA + "50,\n", "line 10: no observable has a value"),
     "error without value": ({}, {}, "drive.velocity,friction,pinned,pinned_stderr\n1,2,,0.1\n",
-                            "pinned_stderr is there"),
+                            "pinned_stderr has no pinned beside it"),
     "empty column": ({}, {}, DATA.replace("friction", "friction,pinned").replace("\n", ",\n"),
-                     'column "pinned" has no value'),
+                     'column "pinned" is empty'),
     "zero error": ({}, {}, "drive.velocity,friction,friction_stderr\n1,2,0\n", "friction_stderr = 0: must be"),
-    "NaN error": ({}, {}, "drive.velocity,friction,friction_stderr\n1,2,nan\n", "must be a finite number > 0"),
-    "infinite error": ({}, {}, "drive.velocity,friction,friction_stderr\n1,2,inf\n", "must be a finite number > 0"),
+    "NaN error": ({}, {}, "drive.velocity,friction,friction_stderr\n1,2,nan\n", "must be finite and > 0"),
+    "infinite error": ({}, {}, "drive.velocity,friction,friction_stderr\n1,2,inf\n", "must be finite and > 0"),
     "no error": ({}, {"noise": {}}, DATA, "line 2: friction has no friction_stderr"),
     "negative": ({}, {}, DATA.replace("0.5", "-0.5"), "line 4: friction = -0.5: must be > 0"),
     "few": ({}, {}, "drive.velocity,friction\n1,2\n", "1 measurements for 1 free keys; at least 2"),

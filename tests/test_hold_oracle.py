@@ -9,7 +9,7 @@ from hold_oracle import Sled, simulate
 from scipy import integrate
 
 from eqsim import Delay, Ensemble, Programme, Segment, Stage, Thermal, trajectory
-from eqsim.validation.pulled import survivors
+from eqsim.validation.pulled import pinned_in_hold as pinned
 
 
 def ours(sled, replicas, seed=1):
@@ -102,7 +102,7 @@ def test_two_contacts(case):
     )  # fmt: skip
     time = 5.0 if case.get("annealed") else 20.0
     exact, coarse = (
-        survivors(ensemble, Stage(0.3, preload=2.5), each)(time) for each in (18, 9)
+        pinned(ensemble, Stage(0.3, preload=2.5), each)(time) for each in (18, 9)
     )
     sled = Sled(2, 0.3, 2.5, ((0.0, time),), delay=1e12, **case)
     found = simulate(sled, [time], 40_000, np.random.default_rng(2)).pinned[0]

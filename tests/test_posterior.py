@@ -47,7 +47,7 @@ def line():
 
 
 def drawn(problem, **more):
-    return posterior.sample(
+    return posterior.draw_posterior(
         problem, MEAN, np.diag(SD**2), np.random.default_rng(1), **more
     )
 
@@ -90,7 +90,7 @@ def test_any_number_of_workers(line):
 
 
 def test_a_short_chain_has_no_intervals(line, monkeypatch):
-    monkeypatch.setattr(posterior, "_MOST", 100)
+    monkeypatch.setattr(posterior, "_STEPS_AT_MOST", 100)
     found = drawn(line)
     assert not found.converged
     assert found.intervals[KEYS[0]] == {"median": None, "68": None, "95": None}
@@ -131,7 +131,7 @@ def call(folder, *more):
 
 
 def test_command(folder, monkeypatch):
-    monkeypatch.setattr(posterior, "_ENOUGH", 3.0)
+    monkeypatch.setattr(posterior, "_ENOUGH_TIMES", 3.0)
     done = call(folder, "--posterior", "--workers", "1", "--json")
     assert done.exit_code == 0, done.output
     said = json.loads(done.output)["posterior"]

@@ -18,7 +18,7 @@ from eqsim.cli.app import app
 from eqsim.fitting.estimate import covariance, minimise
 from eqsim.fitting.fit import fit, goodness, prepare
 from eqsim.fitting.profiles import LEVELS
-from eqsim.fitting.record import correlated, settled
+from eqsim.fitting.record import correlated, settle_steps
 from eqsim.fitting.section import section_of
 from eqsim.io.runfile import check
 from eqsim.master.transient import transient
@@ -261,7 +261,7 @@ def test_given_steps_make_predictions_smooth():
     taken."""
     exact = coverage.record()
     few = replace(exact.forward, time=exact.forward.time[::4], steps=None)
-    problem = settled(replace(exact, forward=few), exact.start)
+    problem = settle_steps(replace(exact, forward=few), exact.start)
     rough = replace(problem, forward=few)
     changes = problem.changes(problem.start)
     own, given = (one.forward.predict(changes)[0] for one in (rough, problem))
@@ -284,7 +284,7 @@ def test_warm_records_have_intervals():
     profile as the covariance of these derivatives says, to 10 %."""
     file = load(ROOT / "runs" / "fit-basalt-step.toml")
     problem = prepare(file, None, False).problem
-    smooth = settled(problem, problem.start)
+    smooth = settle_steps(problem, problem.start)
     smooth = replace(smooth, value=smooth.given(smooth.start))
     stage = [one.key for one in problem.parameters].index("drive.stage.stiffness")
     assert change(smooth, stage) < 0.05

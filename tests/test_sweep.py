@@ -220,7 +220,7 @@ def test_what_cannot_be_trusted_is_unreliable(monkeypatch):
         monkeypatch.setattr(
             "eqsim.sweeps.rows.steady", lambda *_, result=result, **__: result
         )
-        row = rows_module._row(task, Asked(), 1)
+        row = rows_module._point_row(task, Asked(), 1)
         assert (row["status"], row["message"]) == ("unreliable" if said else "ok", said)
 
 

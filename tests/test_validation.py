@@ -43,11 +43,11 @@ from eqsim.validation import (
     verdict,
 )
 from eqsim.validation.comparison import DECLINED, REASONS, Point, Score, Unscored
-from eqsim.validation.points import LAWS, SUITES, Suite, sample
+from eqsim.validation.points import DRAWN_LAWS, SUITES, Suite, sample
 from eqsim.validation.scores import (
     _many,
     averages,
-    compared,
+    compare_driven,
     fluctuating,
     hazards,
     programme_of,
@@ -326,7 +326,7 @@ def test_sample(monkeypatch):
             )
             name = "narrow" if narrow else name
         of.setdefault({"beta": "arcsine"}.get(name, name), []).append(law)
-    assert set(of) == set(LAWS)
+    assert set(of) == set(DRAWN_LAWS)
     assert min(map(len, of.values())) > 4
     few, samples = (
         [np.unique(law.steps) for law in of[name]] for name in ("few", "sample")
@@ -421,7 +421,7 @@ def test_no_fluctuations_where_the_stationary_start_is_refused():
         Gamma(0.5), Thermal(0.92, barrier="stiff"), rare, aging, stiffness_law="uniform"
     )
     wide = Suite(3, 1, ((20, 2000),))
-    assert made(compared(at(hot, 2.2e-4)._replace(number=2), wide)[3:]) == []
+    assert made(compare_driven(at(hot, 2.2e-4)._replace(number=2), wide)[3:]) == []
     warm = dataclasses.replace(hot, thermal=Thermal(0.1))
     assert made(fluctuating(at(warm, 2.2e-4), wide)) != []
 

@@ -472,9 +472,9 @@ def test_a_run_says_so():
 
 def test_a_sweep_does_not_doubt_an_infinite_variance():
     """It is known, so the point is no less reliable for it."""
-    from eqsim.sweeps.rows import _columns
+    from eqsim.sweeps.rows import _averages_row
 
-    row = _columns(steady(Ensemble(Pareto(4.0)), Drive(0.1)), 1, [])
+    row = _averages_row(steady(Ensemble(Pareto(4.0)), Drive(0.1)), 1, [])
     assert (row["status"], row["force_variance"], row["force_variance_reliable"]) == (
         "ok",
         math.inf,

@@ -34,7 +34,7 @@ from eqsim import (
     transient,
 )
 from eqsim.fitting.model import SteadyForward
-from eqsim.fitting.record import RecordForward, search
+from eqsim.fitting.record import RecordForward, search_record
 from eqsim.master.velocities import lives_of
 
 ROOT = Path(__file__).parents[2]
@@ -159,7 +159,7 @@ def time_fits(sizes: Sizes) -> list[dict[str, Any]]:
         return NOTHING
 
     def of_record(_: int = 0) -> Outcome:
-        search(record, start)
+        search_record(record, start)
         return NOTHING
 
     rows = []

@@ -22,13 +22,13 @@ MEASURED = (
     "peak_ratio",
     "peak_X",
 )
-_COLUMNS = (
+_KNOWN_COLUMNS = (
     f"columns are keys such as drive.velocity and {', '.join(MEASURED)} (friction may "
     "be a force, a stress or a coefficient: fit.scale is its unit)"
 )
 
 
-class Row(NamedTuple):
+class MeasuredAt(NamedTuple):
     """Where a measurement was made: values of run-file keys, kT over that of the run
     file, its set, and in which line of the file it stands."""
 
@@ -38,7 +38,7 @@ class Row(NamedTuple):
     line: int = 0
 
 
-class Table(NamedTuple):
+class Measurements(NamedTuple):
     """Measurements, arrays (measurements,): the row each belongs to, its observable,
     value and standard error.
 
@@ -46,7 +46,7 @@ class Table(NamedTuple):
     is the digest of the file, and a record has the `time` of its points.
     """
 
-    rows: list[Row]
+    rows: list[MeasuredAt]
     row: Array
     observable: list[str]
     value: Array
@@ -84,7 +84,7 @@ def lines(sheet: csv.Sheet, field: str) -> Iterator[Line]:
             yield Line(number, named, f"{field}, line {number}: ")
 
 
-def read_table(path: Path, file: RunFile, fit: Fit) -> Table:
+def read_table(path: Path, file: RunFile, fit: Fit) -> Measurements:
     """The measurements of a CSV file.
 
     Columns are float keys of the run file, the temperature column, observables, each
@@ -92,8 +92,8 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Table:
     not measured. Raises InputError with the column or line that cannot be used.
     """
     sheet = csv.read(path, f"fit.data = {path}")
-    names, observables = _columns(sheet, file, fit)
-    rows, temperatures = list[Row](), list[float]()
+    names, observables = _checked_columns(sheet, file, fit)
+    rows, temperatures = list[MeasuredAt](), list[float]()
     measured, values = list[tuple[int, str]](), list[tuple[float, float]]()
     for line in lines(sheet, "fit.data"):
         where, cells = line.where, line.cells
@@ -112,27 +112,24 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Table:
                 measured.append((len(rows), name))
                 values.append((line.value(name), _sigma(line, name, fit)))
             elif cells.get(f"{name}_stderr"):
-                raise InputError(
-                    f"{where}{name}_stderr is there without a value of {name}"
-                )
-        rows.append(
-            Row(changes, kelvin / unit, cells.get("set", "").strip(), line.number)
-        )
+                raise InputError(f"{where}{name}_stderr has no {name} beside it")
+        name_of_set = cells.get("set", "").strip()
+        rows.append(MeasuredAt(changes, kelvin / unit, name_of_set, line.number))
         temperatures.append(kelvin)
     if not measured:
         raise InputError("fit.data: there is no measurement in it")
     row_of, names_of = (list(column) for column in zip(*measured, strict=True))
     for name in observables:
         if name not in names_of:
-            raise InputError(
-                f'fit.data: column "{name}" has no value in any line; leave it out'
-            )
+            raise InputError(f'fit.data: column "{name}" is empty; leave it out')
     value, sigma = np.array(values).T
     at, kelvins = np.array(row_of), np.array(temperatures)
-    return Table(rows, at, names_of, value, sigma, names, kelvins, sheet.sha256)
+    return Measurements(rows, at, names_of, value, sigma, names, kelvins, sheet.sha256)
 
 
-def _columns(sheet: csv.Sheet, file: RunFile, fit: Fit) -> tuple[list[str], list[str]]:
+def _checked_columns(
+    sheet: csv.Sheet, file: RunFile, fit: Fit
+) -> tuple[list[str], list[str]]:
     """Names of the columns that are keys, and of those that are observables. Raises
     InputError."""
     header = sheet.columns
@@ -141,31 +138,21 @@ def _columns(sheet: csv.Sheet, file: RunFile, fit: Fit) -> tuple[list[str], list
     for name in header:
         sheet.index(name)  # refuses a name that is there twice
         if name in fit.free:
-            raise InputError(
-                f"fit.free.{name}: is a column of the data; a key is either free or "
-                "given by each row"
-            )
+            raise InputError(f"fit.free.{name}: is a column of the data, so not free")
         allowed = [*known, *MEASURED, *errors, "set"]
         if name not in (*allowed, fit.temperature):
             raise InputError(
                 f'fit.data: column "{name}" is neither a key nor an observable; '
-                f"{meant(name, allowed) or _COLUMNS}"
+                f"{meant(name, allowed) or _KNOWN_COLUMNS}"
             )
         if name in errors and name.removesuffix("_stderr") not in header:
-            raise InputError(
-                f'fit.data: column "{name}" is there without a column '
-                f'"{name.removesuffix("_stderr")}"'
-            )
+            raise InputError(f'fit.data: column "{name}" has no observable beside it')
     if fit.temperature not in (None, *header):
-        raise InputError(
-            f'fit.temperature = "{fit.temperature}": the data have no such column; '
-            f"there are {', '.join(header)}"
-        )
+        given = f'fit.temperature = "{fit.temperature}"'
+        raise InputError(f"{given}: no such column; there are {', '.join(header)}")
     observables = [name for name in MEASURED if name in header]
     if not observables:
-        raise InputError(
-            f"fit.data: no column is an observable; known are {', '.join(MEASURED)}"
-        )
+        raise InputError(f"fit.data: needs an observable: {', '.join(MEASURED)}")
     return [name for name in header if name in known], observables
 
 
@@ -175,19 +162,13 @@ def _sigma(line: Line, name: str, fit: Fit) -> float:
     if text:
         sigma = csv.value_of(text)
         if not 0 < sigma < math.inf:
-            raise InputError(
-                f"{where}{name}_stderr = {text[:40]}: must be a finite number > 0"
-            )
+            given = f"{name}_stderr = {text[:40]}"
+            raise InputError(f"{where}{given}: must be finite and > 0")
         return sigma
     value, noise = line.value(name), fit.noise
     if noise.relative == 0 and noise.absolute == 0:
-        raise InputError(
-            f"{where}{name} has no {name}_stderr; give one, or noise = "
-            "{ relative = ... } in [fit]"
-        )
+        raise InputError(f"{where}{name} has no {name}_stderr; give one, or fit.noise")
     if value <= 0 and noise.absolute == 0:
-        raise InputError(
-            f"{where}{name} = {value:g}: must be > 0, as its error is relative; give "
-            "an absolute one too"
-        )
+        given = f"{where}{name} = {value:g}"
+        raise InputError(f"{given}: must be > 0 without fit.noise.absolute")
     return math.hypot(noise.relative * value, noise.absolute)

@@ -3,6 +3,7 @@ best (Fisher information)."""
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -10,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError, meant, require_integer, require_number
-from eqsim.fitting.data import Row
+from eqsim.fitting.data import MeasuredAt
 from eqsim.fitting.fit import Prepared, prepare
 from eqsim.fitting.model import Problem, velocity_of
 from eqsim.io.runfile import RunFile
@@ -29,18 +30,18 @@ class Limits(NamedTuple):
     low: float
     high: float
 
-    def check(self, name: str) -> None:
-        """Raise InputError unless 0 < low <= high."""
+    def spaced(self, name: str, space: Callable[..., Array], count: int) -> Array:
+        """Values between the limits, one if these are equal. Raises InputError unless
+        0 < low <= high."""
         for value in self:
             require_number(f"--{name}", value, above=0)
         if self.low > self.high:
-            raise InputError(
-                f"--{name} {self.low:g},{self.high:g}: the first must not be larger "
-                "than the second"
-            )
+            given = f"--{name} {self.low:g},{self.high:g}"
+            raise InputError(f"{given}: the first must not be larger")
+        return space(*self, count if self.low < self.high else 1)
 
 
-class Step(NamedTuple):
+class NextMeasurement(NamedTuple):
     """A measurement of friction: where, and the standard deviation of the key's
     variable that is expected after it and all before it."""
 
@@ -58,7 +59,7 @@ class Design(NamedTuple):
     variable: str
     now: float
     repeated: float
-    steps: list[Step]
+    steps: list[NextMeasurement]
 
 
 def expected(jacobian: Array, index: int) -> float:
@@ -106,7 +107,7 @@ def design(
         best = int(np.argmin(after))
         jacobian = np.vstack((jacobian, rows[best]))
         kelvin = float(T[best]) if prepared.fit.temperature is not None else None
-        steps.append(Step(float(v[best]), kelvin, after[best]))
+        steps.append(NextMeasurement(float(v[best]), kelvin, after[best]))
     name = problem.parameters[index].variable_name
     return Design(key, name, now, repeated, steps)
 
@@ -121,15 +122,11 @@ def _best(fitted: Path, prepared: Prepared) -> Array:
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"--fit {fitted}: holds no fit.json of `eqsim fit`") from None
     if digest != prepared.table.sha256:
-        raise InputError(
-            f"--fit {fitted}: is a fit of other data than fit.data of the run file"
-        )
+        raise InputError(f"--fit {fitted}: is a fit of other data than fit.data")
     problem = prepared.problem
     if values.keys() != set(problem.keys):
         keys = ", ".join(values)
-        raise InputError(
-            f"--fit {fitted}: has other free keys than the run file: {keys}"
-        )
+        raise InputError(f"--fit {fitted}: has other free keys than the file: {keys}")
     u = [one.variable(values[one.key]) for one in problem.parameters]
     return np.clip(u, problem.low, problem.high)
 
@@ -143,20 +140,14 @@ def _candidates(
     known = [v for v in map(velocity_of, table.rows) if v is not None]
     if velocities is None:
         if not known:
-            raise InputError(
-                "--velocity: is required, as the data have no column drive.velocity"
-            )
+            raise InputError("--velocity: is required without a column drive.velocity")
         velocities = Limits(min(known) / _BEYOND, max(known) * _BEYOND)
     if temperatures is not None and prepared.fit.temperature is None:
-        raise InputError(
-            "--temperature: not allowed without fit.temperature, their column"
-        )
+        raise InputError("--temperature: not allowed without fit.temperature")
     measured = table.temperatures.tolist()
     temperatures = temperatures or Limits(min(measured), max(measured))
-    velocities.check("velocity")
-    temperatures.check("temperature")
-    v = np.unique(np.geomspace(*velocities, _VELOCITIES))
-    T = np.unique(np.linspace(*temperatures, _TEMPERATURES))
+    v = Limits(*velocities).spaced("velocity", np.geomspace, _VELOCITIES)
+    T = Limits(*temperatures).spaced("temperature", np.linspace, _TEMPERATURES)
     return np.tile(v, T.size), np.repeat(T, v.size)
 
 
@@ -166,14 +157,11 @@ def _measurable(prepared: Prepared, u: Array, v: Array, T: Array) -> Problem:
     problem, table, fit = prepared.problem, prepared.table, prepared.fit
     force = np.array(table.observable) == "friction"
     if not force.any():
-        raise InputError(
-            "fit.data: design needs measurements of friction, whose errors it takes "
-            "for the next ones"
-        )
+        raise InputError("fit.data: design needs measurements of friction")
     relative = float(np.median(table.sigma[force] / np.abs(table.value[force])))
     heat = T / (fit.reference_temperature or 1.0) if fit.temperature else T**0
     rows = [
-        Row((("drive.velocity", speed),), warmth, table.sets[0])
+        MeasuredAt((("drive.velocity", speed),), warmth, table.sets[0])
         for speed, warmth in zip(v.tolist(), heat.tolist(), strict=True)
     ]
     blank = problem.elsewhere(int(np.argmax(force)), rows)

@@ -24,7 +24,7 @@ DEGENERATE = 1e-7
 # Minima whose chi-square differs by less are the same one.
 SAME_MINIMUM = 0.1
 # Relative changes of chi-square, parameters and gradient at which a search ends.
-_TOLERANCE = 1e-8
+_SEARCH_TOLERANCE = 1e-8
 
 
 class Minimum(NamedTuple):
@@ -72,7 +72,7 @@ def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
         np.clip(u[searched], low + inset, high - inset),
         jacobian,
         (low, high),
-        **dict.fromkeys(("ftol", "xtol", "gtol"), _TOLERANCE),
+        **dict.fromkeys(("ftol", "xtol", "gtol"), _SEARCH_TOLERANCE),
         max_nfev=200,
     )
     full = u.copy()
@@ -126,17 +126,9 @@ def _refusal(problem: Problem, u: Array) -> InputError | None:
 
 @dataclass(frozen=True)
 class Tasks:
-    """Independent tasks, whose results are kept for a computation that is stopped and
-    begun again.
-
-    Attributes
-    ----------
-    executor : Executor or None
-        By default this process computes them, one after the other.
-    folder : Path or None
-        Where results are kept, by the name and number of their tasks: the folder must
-        belong to one computation.
-    """
+    """Independent tasks, computed by an executor, or one after the other by this
+    process. A folder of one computation keeps their results, by name and number, for
+    when it is stopped and begun again."""
 
     executor: Executor | None = None
     folder: Path | None = None
@@ -210,11 +202,11 @@ def ladder(keys: list[str], jacobian: Array) -> list[Direction]:
         ratio, sd = 0.0, math.inf
         if value > 0:
             ratio, sd = float(value / singular[0] ** 2), 1.0 / math.sqrt(value)
-        found.append(Direction(value, ratio, sd, components, _name(components)))
+        found.append(Direction(value, ratio, sd, components, _product(components)))
     return found
 
 
-def _name(components: dict[str, float]) -> str:
+def _product(components: dict[str, float]) -> str:
     """A product of powers of the keys that a direction moves, that which moves most
     first."""
     order = sorted(components.items(), key=lambda item: -abs(item[1]))

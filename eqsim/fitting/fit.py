@@ -14,18 +14,17 @@ import numpy as np
 from scipy import stats
 
 from eqsim.errors import InputError, require_integer
-from eqsim.fitting import estimate, profiles, symmetry
-from eqsim.fitting.data import Table, read_table
+from eqsim.fitting import estimate, profiles, record, symmetry
+from eqsim.fitting.data import Measurements, read_table
 from eqsim.fitting.estimate import DEGENERATE, Direction, Minimum, Tasks
-from eqsim.fitting.model import STEP, STUDENT, Forward, Problem, SteadyForward
-from eqsim.fitting.record import (
-    STEP_CHOSEN,
-    Correlation,
-    RecordForward,
-    correlated,
-    read_record,
-    search,
+from eqsim.fitting.model import (
+    DERIVATIVE_STEP,
+    STUDENT,
+    Forward,
+    Problem,
+    SteadyForward,
 )
+from eqsim.fitting.record import Correlation, RecordForward
 from eqsim.fitting.section import NUISANCES, Fit, parameters_of, section_of
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile, at, opened, path_of
@@ -38,7 +37,7 @@ REJECTED = 1e-3
 # Error of the solver over that of a measurement from which on there is a warning.
 _NOISE_FLOOR = 0.1
 # Half of a 95 % interval over the standard deviation, which data cannot make smaller.
-_NARROW = 0.1
+_ROUGH_WIDTH = 0.1
 # Distance from a bound, over that of the bounds, at which a parameter is there.
 _AT_BOUND = 1e-3
 # How often a profile may find a better fit.
@@ -46,7 +45,7 @@ _MOST_FITS = 3
 # How often residuals tell the correlation of errors.
 _WHITENED = 2
 # Seconds after which results of a fit that was stopped are removed, 30 days.
-_FORGOTTEN = 30 * 86400.0
+_FORGOTTEN_SECONDS = 30 * 86400.0
 
 Progress = Callable[[int, float], None]
 
@@ -86,7 +85,7 @@ class FitResult:
     fit : Fit
         Its [fit] section.
     problem : Problem
-    table : Table
+    table : Measurements
     best : Minimum
     jacobian : ndarray, shape (measurements + priors, parameters)
         J, at the best fit.
@@ -103,7 +102,7 @@ class FitResult:
     file: RunFile
     fit: Fit
     problem: Problem
-    table: Table
+    table: Measurements
     best: Minimum
     jacobian: Array
     minima: list[Minimum]
@@ -185,7 +184,7 @@ class FitResult:
             ends = [side.ends["95"] for side in self.profiles[one.key]]
             nearest = min((abs(u - x) for u in ends if u is not None), default=math.inf)
             # at a bound a covariance says nothing
-            if one.low < x < one.high and nearest < _NARROW * error:
+            if one.low < x < one.high and nearest < _ROUGH_WIDTH * error:
                 rough.append(one.key)
         if rough:
             found.append(
@@ -240,7 +239,7 @@ class Prepared(NamedTuple):
     noticed."""
 
     fit: Fit
-    table: Table
+    table: Measurements
     problem: Problem
     warnings: list[str]
 
@@ -267,7 +266,7 @@ def prepare(file: RunFile, data: Path | None, allow_degenerate: bool) -> Prepare
     return Prepared(section, table, problem_of(file, section, table), warnings)
 
 
-def _measured(file: RunFile, section: Fit, data: Path | None) -> Table:
+def _measured(file: RunFile, section: Fit, data: Path | None) -> Measurements:
     """The measurements. Raises InputError."""
     field, name = "fit.data", section.data
     if section.record is not None:
@@ -276,13 +275,13 @@ def _measured(file: RunFile, section: Fit, data: Path | None) -> Table:
         raise InputError("fit.data: is required, the CSV file of measurements")
     path = data or path_of(field, file.folder, str(name))
     if section.record is not None:
-        return read_record(path, section)
+        return record.read_record(path, section)
     table = read_table(path, file, section)
     _check_rows(file, table)
     return table
 
 
-def problem_of(file: RunFile, section: Fit, table: Table) -> Problem:
+def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
     """The fit of a table or a record. Raises InputError."""
     (scales, fixed), free = section.scales(table.sets), parameters_of(file, section)
     rows, value = [table.rows[row] for row in table.row], table.value
@@ -293,10 +292,8 @@ def problem_of(file: RunFile, section: Fit, table: Table) -> Problem:
     if section.record is not None and table.time is not None:
         stiffness = section.record.machine_stiffness
         if stiffness is not None and "drive.stage.stiffness" in keys:
-            raise InputError(
-                "fit.free.drive.stage.stiffness: not allowed with "
-                "fit.record.machine_stiffness"
-            )
+            both = "not allowed with fit.record.machine_stiffness"
+            raise InputError(f"fit.free.drive.stage.stiffness: {both}")
         forward = RecordForward(file, table.time, stiffness, fixed)
         shapes = np.ones(table.time.size), table.time - table.time.mean()
         for (key, name), shape in zip(NUISANCES.items(), shapes, strict=True):
@@ -324,18 +321,16 @@ def problem_of(file: RunFile, section: Fit, table: Table) -> Problem:
         file["contacts.stiffness"],
         nuisance,
         section.loss,
-        step=STEP if table.time is None else STEP_CHOSEN,
+        step=DERIVATIVE_STEP if table.time is None else record.STEP_CHOSEN,
     )
 
 
-def _check_rows(file: RunFile, table: Table) -> None:
+def _check_rows(file: RunFile, table: Measurements) -> None:
     """Raise InputError, with the line, for a row whose values no ensemble or constant
     drive can have."""
     for name in ("programme", "file", "stage"):
         if file[f"drive.{name}"] is not None:
-            raise InputError(
-                f"drive.{name}: not allowed with fit.data, a table of steady values"
-            )
+            raise InputError(f"drive.{name}: not allowed with fit.data, steady values")
     _ = file.ensemble  # what the run file itself has wrong is not a row's fault
     seen = set()
     for row in table.rows:
@@ -414,7 +409,7 @@ def fit(
     prepared.warnings.extend(_singular(prepared.problem, allow_degenerate))
     unfinished = None
     if keep is not None:
-        unfinished = _unfinished(Path(keep), _identity(file, prepared, every))
+        unfinished = _unfinished_folder(Path(keep), file, prepared, every)
     with Workers(workers).executor() as executor:
         tasks = Tasks(executor, unfinished)
         result = _fitted(file, prepared, every, tasks, progress)
@@ -423,22 +418,19 @@ def fit(
         return result
 
 
-def _identity(file: RunFile, prepared: Prepared, every: list[Array]) -> str:
-    """A digest of what the numbers of a fit depend on, and of the release of eqsim,
-    whose pickled objects are kept."""
+def _unfinished_folder(
+    out: Path, file: RunFile, prepared: Prepared, every: list[Array]
+) -> Path:
+    """The folder for results of a fit that may be stopped, named by a digest of all
+    that its numbers depend on, and of the release of eqsim, whose pickled objects are
+    kept. Folders that no fit has added to for long are removed."""
+    for old in out.glob(".unfinished-*"):
+        if time.time() - old.stat().st_mtime > _FORGOTTEN_SECONDS:
+            shutil.rmtree(old, ignore_errors=True)
     release, digest = storage.versions()["eqsim"], prepared.table.sha256
     parts = [release, str(RESULTS_VERSION), storage.to_json(file.settings), digest]
     content = " ".join(parts).encode() + np.array(every).tobytes()
-    return hashlib.sha256(content).hexdigest()[:16]
-
-
-def _unfinished(out: Path, identity: str) -> Path:
-    """The folder for results of a fit that may be stopped. Those that no fit has added
-    to for long are removed."""
-    for old in out.glob(".unfinished-*"):
-        if time.time() - old.stat().st_mtime > _FORGOTTEN:
-            shutil.rmtree(old, ignore_errors=True)
-    return out / f".unfinished-{identity}"
+    return out / f".unfinished-{hashlib.sha256(content).hexdigest()[:16]}"
 
 
 def _singular(problem: Problem, allowed: bool) -> list[str]:
@@ -458,7 +450,8 @@ def _singular(problem: Problem, allowed: bool) -> list[str]:
 
 def _search(problem: Problem) -> Callable[[Problem, Array], Minimum]:
     """Least squares from one start, of a table or of a record."""
-    return search if isinstance(problem.forward, RecordForward) else estimate.minimise
+    of_record = isinstance(problem.forward, RecordForward)
+    return record.search_record if of_record else estimate.minimise
 
 
 def _fitted(
@@ -486,7 +479,7 @@ def _fitted(
     alone = replace(tasks, executor=None)
     for again in range(_WHITENED if table.time is not None else 0):
         assert table.time is not None
-        problem, correlation = correlated(problem, best.u, table.time)
+        problem, correlation = record.correlated(problem, best.u, table.time)
         begin = [(problem, best.u)]
         (best,) = alone.results(f"white{again}", estimate.minimise, begin)
     for again in range(_MOST_FITS):
@@ -502,18 +495,9 @@ def _fitted(
         begin = [(problem, u) for u in lower]
         better = tasks.results(f"better{again}", estimate.minimise, begin)
         best = min([best, *better], key=lambda one: one.chi2)
-    return FitResult(
-        file=file,
-        fit=section,
-        problem=problem,
-        table=table,
-        best=best,
-        jacobian=jacobian,
-        minima=minima,
-        profiles={key: sides[2 * i :][:2] for i, key in enumerate(problem.keys)},
-        noticed=warnings,
-        correlation=correlation,
-    )
+    pairs = {key: sides[2 * i :][:2] for i, key in enumerate(problem.keys)}
+    known = file, section, problem, table, best, jacobian, minima, pairs, warnings
+    return FitResult(*known, correlation)
 
 
 def goodness(problem: Problem, u: Array) -> Goodness:

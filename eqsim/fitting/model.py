@@ -18,7 +18,7 @@ from scipy import optimize
 
 from eqsim.errors import InputError
 from eqsim.estimate import known
-from eqsim.fitting.data import Row
+from eqsim.fitting.data import MeasuredAt
 from eqsim.fitting.section import Parameter
 from eqsim.io.runfile import RunFile, at
 from eqsim.master.peak import first_peak
@@ -29,7 +29,7 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
 # Step of derivatives, in the variables of parameters.
-STEP = 1e-4
+DERIVATIVE_STEP = 1e-4
 # Degrees of freedom of the robust loss.
 STUDENT = 4.0
 # Residual where the reference refuses.
@@ -38,7 +38,7 @@ REFUSED = 1e4
 AVERAGES = ("friction", "pinned", "break_stretch")
 
 
-def velocity_of(row: Row) -> float | None:
+def velocity_of(row: MeasuredAt) -> float | None:
     """The velocity of a row of a table; None if it leaves that to the run file."""
     return dict(row.changes).get("drive.velocity")
 
@@ -60,7 +60,7 @@ class SteadyForward:
     once."""
 
     file: RunFile
-    rows: Sequence[Row]
+    rows: Sequence[MeasuredAt]
     observable: Sequence[str]
     scaled: bool = False
 
@@ -84,9 +84,7 @@ class SteadyForward:
             given = [velocity_of(self.rows[index]) for index in members]
             v = [file["drive.velocity"] if one is None else one for one in given]
             if None in v:
-                raise InputError(
-                    "drive.velocity: is required, in the run file or as a data column"
-                )
+                raise InputError("drive.velocity: is required, in the file or the data")
             names = [self.observable[index] for index in members]
             if not set(AVERAGES).isdisjoint(names):
                 steady = curve(file.ensemble, np.array(v))
@@ -107,13 +105,10 @@ def other_observable(
     of a contact's force over k, or the static peak of `master.peak`, where it is and
     how far above the steady force. Raises InputError where there is none."""
     if name == "force_std":
-        still = transient(
-            ensemble, Drive(velocity, start="stationary"), 2, variance=True
-        )
+        drive = Drive(velocity, start="stationary")
+        still = transient(ensemble, drive, 2, variance=True)
         if still.force_variance is None or still.force_variance_error is None:
-            raise InputError(
-                "force_std: contacts stay in step, the force has no steady variance"
-            )
+            raise InputError("force_std: no steady variance, contacts stay in step")
         sd = math.sqrt(still.force_variance[0])
         return sd, float(still.force_variance_error[0]) / (2.0 * sd)
     peak = first_peak(ensemble, velocity)
@@ -135,53 +130,35 @@ class Solved(NamedTuple):
 
 @dataclass(frozen=True)
 class Problem:
-    """A fit: measurements, what predicts them, and what is free.
-
-    Attributes
-    ----------
-    forward : Forward
-    parameters : list of Parameter
-        Free keys first, then what the measurements are linear in.
-    value, sigma : ndarray, shape (measurements,)
-    scale_of : ndarray of int, shape (measurements,)
-        Which parameter is the scale of a measured force; -1 where none is.
-    unit : ndarray, shape (measurements,)
-        What multiplies predictions besides: the scale of a force if it is fixed.
-    spread : ndarray of bool, shape (measurements,)
-        Standard deviations of the force, which go as the root of a free scale.
-    stiffness : float
-        Of a contact, if it is not free.
-    nuisance : dict
-        What else predictions are linear in: values at unit parameter by key.
-    loss : str
-        "gaussian" or "student".
-    correlation : ndarray or None, shape (measurements - 1,)
-        Of the errors of neighbours, which form a Markov chain; None if they are
-        independent.
-    step : float
-        Of derivatives, in the variables of parameters.
-    central : bool
-        Whether a search takes them to both sides: one-sided ones lead it astray in long
-        valleys of a model that is far from the data.
-    """
+    """A fit: measurements with their errors, what predicts them, and what is free.
+    Arrays have the shape (measurements,)."""
 
     forward: Forward
     parameters: list[Parameter]
     value: Array
     sigma: Array
+    # Which parameter is the scale of a measured force, or -1; what multiplies
+    # predictions besides; and which are standard deviations of the force, which go as
+    # the root of a free scale.
     scale_of: Array
     unit: Array
     spread: Array
+    # Stiffness of a contact, if it is not free.
     stiffness: float = 1.0
+    # Functions by key in which predictions are linear, too, at unit parameter.
     nuisance: dict[str, Array] = field(default_factory=dict)
     loss: str = "gaussian"
+    # Correlation of the errors of neighbours, (measurements - 1,), which form a Markov
+    # chain; None if they are independent.
     correlation: Array | None = None
-    step: float = STEP
+    # Step of derivatives in the variables of parameters, and whether a search takes
+    # them to both sides: one-sided ones lead it astray in long valleys of a model that
+    # is far from the data.
+    step: float = DERIVATIVE_STEP
     central: bool = False
 
     @cached_property
     def keys(self) -> list[str]:
-        """The keys of parameters."""
         return [one.key for one in self.parameters]
 
     @cached_property
@@ -198,21 +175,17 @@ class Problem:
 
     @cached_property
     def low(self) -> Array:
-        """Lower bounds."""
         return np.array([one.low for one in self.parameters])
 
     @cached_property
     def high(self) -> Array:
-        """Upper bounds."""
         return np.array([one.high for one in self.parameters])
 
     @cached_property
     def start(self) -> Array:
-        """The run file's values."""
         return np.array([one.start for one in self.parameters])
 
     def values(self, u: Array) -> dict[str, float]:
-        """Values by key."""
         pairs = zip(self.parameters, u, strict=True)
         return {one.key: float(one.value(x)) for one, x in pairs}
 
@@ -300,7 +273,6 @@ class Problem:
 
     @cached_property
     def priors(self) -> int:
-        """Number of parameters with a prior."""
         return sum(one.prior is not None for one in self.parameters)
 
     def jacobian(self, u: Array) -> Array:
@@ -344,7 +316,7 @@ class Problem:
         straight = [one.transform == "linear" for one in self.parameters]
         return jacobian * np.where(straight, self.high - self.low, 1.0)
 
-    def elsewhere(self, index: int, rows: Sequence[Row]) -> "Problem":
+    def elsewhere(self, index: int, rows: Sequence[MeasuredAt]) -> "Problem":
         """The fit of measurements like that of an index, at other rows of a table;
         values and errors are 1."""
         forward, same = self.forward, np.full(len(rows), index)

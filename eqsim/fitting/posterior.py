@@ -21,12 +21,12 @@ from eqsim.sweeps.workers import Workers
 # Shares of the posterior below the ends of an interval.
 SHARES = {"68": (0.16, 0.84), "95": (0.025, 0.975)}
 # Autocorrelation times, from which on emcee's estimate of that time can be trusted.
-_ENOUGH = 50.0
+_ENOUGH_TIMES = 50.0
 # Walkers of each parameter, and at least.
 _WALKERS = 4
 _LEAST_WALKERS = 16
 # Steps at most, and after how many the chain is looked at.
-_MOST = 10_000
+_STEPS_AT_MOST = 10_000
 _CHECKED = 100
 # The share of the steps that is left out, 1/4.
 _SETTLING = 4
@@ -69,7 +69,7 @@ class Posterior:
     def converged(self) -> bool:
         """True of a chain so long that its autocorrelation time, and so its quantiles,
         can be trusted."""
-        return self.steps >= _ENOUGH * self.autocorrelation
+        return self.steps >= _ENOUGH_TIMES * self.autocorrelation
 
     @property
     def doubt(self) -> float:
@@ -179,10 +179,10 @@ def posterior(
     rng, best = np.random.default_rng(result.seed), result.best.u
     about = result.problem, best, result.covariance, rng
     with Workers(workers).executor() as executor:
-        return sample(*about, executor, progress)
+        return draw_posterior(*about, executor, progress)
 
 
-def sample(
+def draw_posterior(
     problem: Problem,
     best: Array,
     covariance: Array,
@@ -208,9 +208,11 @@ def sample(
     sampler.log_prob_fn = densities
     state = np.random.RandomState(rng.integers(2**32)).get_state()
     begin = _around(problem, best, covariance, rng, walkers)
-    progress(0, _MOST)
+    progress(0, _STEPS_AT_MOST)
     tau = math.inf
-    for _ in sampler.sample(emcee.State(begin, random_state=state), iterations=_MOST):
+    for _ in sampler.sample(
+        emcee.State(begin, random_state=state), iterations=_STEPS_AT_MOST
+    ):
         done = sampler.iteration
         if done % _CHECKED:
             continue
@@ -218,10 +220,10 @@ def sample(
         tau = float(np.max(emcee.autocorr.integrated_time(chain, tol=0)))
         if not math.isfinite(tau):  # not known of walkers that have not moved
             tau = math.inf
-        if len(chain) >= _ENOUGH * tau:
+        if len(chain) >= _ENOUGH_TIMES * tau:
             break
-        needed = _ENOUGH * tau * _SETTLING / (_SETTLING - 1)
-        progress(done, min(_MOST, max(done + _CHECKED, needed)))
+        needed = _ENOUGH_TIMES * tau * _SETTLING / (_SETTLING - 1)
+        progress(done, min(_STEPS_AT_MOST, max(done + _CHECKED, needed)))
     progress(done, done)
     thin = max(int(min(0.5 * tau, done / 10)), 1)
     kept = {"discard": done // _SETTLING, "thin": thin, "flat": True}

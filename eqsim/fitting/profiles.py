@@ -18,13 +18,13 @@ LEVELS = {"68": 0.9889, "95": 3.8415}
 # determined.
 WIDE = 1.1
 # Rise of chi-square that a step aims at, and the most it may be.
-_RISE = 1.5
+_RISE_AIMED_AT = 1.5
 _LARGEST_RISE = 6.0
 # Points of a profile before its ends are sought.
 _MOST_POINTS = 40
 # How close to a level a point must be, and how many are tried for it.
-_CLOSE = 0.02
-_TRIES = 8
+_CLOSE_RISE = 0.02
+_TRIES_FOR_END = 8
 
 
 class Side(NamedTuple):
@@ -91,18 +91,18 @@ class _Profile:
                     break
                 new = self.solve(here.distance + 0.4 * gone)
             self.points.append(new)
-            if new.rise > max(LEVELS.values()) or new.rise < -_CLOSE:
+            if new.rise > max(LEVELS.values()) or new.rise < -_CLOSE_RISE:
                 break
             if new.distance >= self.length:
                 break
             gained = max(new.rise - here.rise, 1e-3)
-            factor = min(max(math.sqrt(_RISE / gained), 0.5), 2.5)
+            factor = min(max(math.sqrt(_RISE_AIMED_AT / gained), 0.5), 2.5)
             step = (new.distance - here.distance) * factor
 
     def end(self, level: float) -> float | None:
         """The variable where the profile first passes a level, by a straight line of
         its root between points close to it; None if no point is above."""
-        for tries in range(_TRIES + 1):
+        for tries in range(_TRIES_FOR_END + 1):
             rises = [point.rise for point in self.points]
             above = next((k for k, rise in enumerate(rises) if rise >= level), 0)
             if above == 0:
@@ -112,28 +112,16 @@ class _Profile:
             t = (math.sqrt(level) - roots[0]) / (roots[1] - roots[0])
             width = high.distance - low.distance
             distance = low.distance + t * width
-            close = min(abs(low.rise - level), abs(high.rise - level)) < _CLOSE
-            if tries == _TRIES or close or width < 1e-6 * self.length:
+            close = min(abs(low.rise - level), abs(high.rise - level)) < _CLOSE_RISE
+            if tries == _TRIES_FOR_END or close or width < 1e-6 * self.length:
                 break
             insort(self.points, self.solve(distance), key=lambda p: p.distance)
         return float(self.best.u[self.index] + self.sign * distance)
 
 
 def side(problem: Problem, best: Minimum, index: int, sign: int, sd: float) -> Side:
-    """Follow a profile away from the best fit, to the bound or where chi-square has
-    risen enough.
-
-    Parameters
-    ----------
-    problem : Problem
-    best : Minimum
-    index : int
-        Of the parameter.
-    sign : int
-        +1 or -1: to which side.
-    sd : float
-        About its standard deviation, for the first step.
-    """
+    """Follow the profile of a parameter to the side of a `sign`, to the bound or where
+    chi-square has risen enough. About its standard deviation is the first step."""
     profile = _Profile(problem, best, index, sign)
     length = profile.length
     if length > 0:
@@ -142,7 +130,7 @@ def side(problem: Problem, best: Minimum, index: int, sign: int, sd: float) -> S
     ends = {name: profile.end(level) for name, level in LEVELS.items()}
     rise = np.array([point.rise for point in profile.points])
     points = np.array([point.u for point in profile.points])
-    return Side(points, rise, ends, bool(np.any(rise < -_CLOSE)))
+    return Side(points, rise, ends, bool(np.any(rise < -_CLOSE_RISE)))
 
 
 def status(low: Side, high: Side, transform: str) -> str:

@@ -20,7 +20,7 @@ import numpy as np
 from scipy import optimize
 
 from eqsim.errors import InputError
-from eqsim.fitting.data import Row, Table, lines
+from eqsim.fitting.data import MeasuredAt, Measurements, lines
 from eqsim.fitting.estimate import Minimum, minimise
 from eqsim.fitting.model import Problem
 from eqsim.fitting.section import Fit
@@ -38,16 +38,16 @@ _STEP_GIVEN = 1e-3
 # How often a search chooses the steps of solves anew, as long as chi-square falls by
 # more than this share.
 _MOST_SEARCHES = 6
-_FALL = 1e-3
+_CHI2_FALL = 1e-3
 # Size of the steps of `force_of` for a search.
-_COARSE = 0.7
+_COARSE_SIZE = 0.7
 # Steps of a solve in a search: steady sliding takes some hundred, a slip a thousand.
-_MOST_STEPS = 4000
+_MOST_SOLVER_STEPS = 4000
 # Correlation of neighbours below which they are independent.
 _LEAST_CORRELATION = 0.02
 
 
-def read_record(path: Path, fit: Fit) -> Table:
+def read_record(path: Path, fit: Fit) -> Measurements:
     """The points of a record, a CSV file with columns of time and force, and of
     standard errors. Errors of the file and of fit.noise add in quadrature. Raises
     InputError with the column or line that cannot be used."""
@@ -58,10 +58,8 @@ def read_record(path: Path, fit: Fit) -> Table:
     for key in ("time", "force", "stderr"):
         name = getattr(record, key)
         if name not in (None, *sheet.columns):
-            there = ", ".join(sheet.columns)
-            raise InputError(
-                f'fit.record.{key} = "{name}": no such column; there are {there}'
-            )
+            given, there = f'fit.record.{key} = "{name}"', ", ".join(sheet.columns)
+            raise InputError(f"{given}: no such column; there are {there}")
         if name is not None:
             sheet.index(name)  # refuses a name that is there twice
     for line in lines(sheet, "fit.record.file"):
@@ -71,24 +69,20 @@ def read_record(path: Path, fit: Fit) -> Table:
             raise InputError(f"{line.where}{record.stderr} = {error:g}: must be >= 0")
         sigma = math.hypot(error, noise.absolute, noise.relative * force)
         if not sigma > 0:
-            raise InputError(
-                f"{line.where}{record.force} has no error; give stderr > 0 or noise in "
-                "[fit]"
-            )
+            cure = "give fit.record.stderr or fit.noise"
+            raise InputError(f"{line.where}{record.force} has no error; {cure}")
         if points and not t > points[-1][0]:
-            raise InputError(
-                f"{line.where}{record.time} = {t:g}: must be later than the "
-                f"{points[-1][0]:g} before it"
-            )
+            given = f"{line.where}{record.time} = {t:g}"
+            raise InputError(f"{given}: must be later than {points[-1][0]:g} before it")
         points.append((t, force, sigma))
     if not points or points[0][0] < 0:
         wrong = "begins before time 0" if points else "is empty"
         raise InputError(f"{field}: {wrong}")
     time, value, sigmas = np.array(points).T
     row_of, names = np.zeros(time.size, int), ["friction"] * time.size
-    rows = [Row((), 1.0, "")]
+    rows = [MeasuredAt((), 1.0, "")]
     known = rows, row_of, names, value, sigmas, list[str](), np.ones(1), sheet.sha256
-    return Table(*known, time)
+    return Measurements(*known, time)
 
 
 class _Along(NamedTuple):
@@ -147,17 +141,17 @@ class RecordForward:
         error = np.abs(fine / coarse - 1.0) / 3.0
         return replace(self, correction=correction, error=error)
 
-    def settled(self, changes: dict[str, float]) -> "RecordForward":
+    def settle_steps(self, changes: dict[str, float]) -> "RecordForward":
         """With the steps that a solve at these parameters chooses, uncorrected."""
         along = self._along(changes)
         if along.programme.stage is None:
             return self
-        steps = steps_of(*along[:3], _COARSE, _MOST_STEPS)
+        steps = steps_of(*along[:3], _COARSE_SIZE, _MOST_SOLVER_STEPS)
         return replace(self, correction=None, error=None, steps=steps)
 
     def _coarse(self, along: _Along) -> Array:
         """The force by the steps of a search."""
-        force = force_of(*along[:3], _COARSE, _MOST_STEPS, self.steps)
+        force = force_of(*along[:3], _COARSE_SIZE, _MOST_SOLVER_STEPS, self.steps)
         return force[along.points]
 
     def _along(self, changes: dict[str, float]) -> _Along:
@@ -169,18 +163,14 @@ class RecordForward:
             raise InputError("drive.programme: is required with fit.record")
         if self.machine_stiffness is not None:
             if programme.stage is None:
-                raise InputError(
-                    "drive.stage: is required with fit.record.machine_stiffness"
-                )
+                raise InputError("drive.stage: is required with machine_stiffness")
             scale = changes.get("fit.scale", self.fixed_scale)
             stage = replace(programme.stage, stiffness=self.machine_stiffness / scale)
             programme = replace(programme, stage=stage)
         ends = np.cumsum([segment.duration for segment in programme.segments])
         if self.time[-1] > ends[-1] * (1.0 + 1e-9):
-            raise InputError(
-                f"fit.record: ends at {self.time[-1]:g}, after the programme, which "
-                f"takes {ends[-1]:g}"
-            )
+            end = f"fit.record: ends at {self.time[-1]:g}"
+            raise InputError(f"{end}, after the programme, which takes {ends[-1]:g}")
         time = np.minimum(self.time, ends[-1])
         t = np.unique(np.concatenate(([0.0], time, ends)))
         segment = np.minimum(np.searchsorted(ends, t * (1.0 - 1e-12)), ends.size - 1)
@@ -197,23 +187,23 @@ class Correlation(NamedTuple):
     effective: float
 
 
-def settled(problem: Problem, u: Array) -> Problem:
+def settle_steps(problem: Problem, u: Array) -> Problem:
     """The problem with the steps that a solve at parameters `u` chooses. Raises
     InputError where there is none."""
     assert isinstance(problem.forward, RecordForward)
-    forward = problem.forward.settled(problem.changes(u))
+    forward = problem.forward.settle_steps(problem.changes(u))
     return replace(problem, forward=forward, step=_STEP_GIVEN, central=True)
 
 
-def search(problem: Problem, u: Array) -> Minimum:
+def search_record(problem: Problem, u: Array) -> Minimum:
     """Least squares from `u`, again and again with the steps that are chosen where they
     ended."""
     found: list[Minimum] = []
     while len(found) < _MOST_SEARCHES:
-        if len(found) > 1 and found[-1].chi2 >= (1.0 - _FALL) * found[-2].chi2:
+        if len(found) > 1 and found[-1].chi2 >= (1.0 - _CHI2_FALL) * found[-2].chi2:
             break
         try:
-            found.append(minimise(settled(problem, u), u))
+            found.append(minimise(settle_steps(problem, u), u))
         except TooManySteps:
             found.append(minimise(problem, u))
         u = found[-1].u
@@ -225,7 +215,7 @@ def correlated(problem: Problem, u: Array, t: Array) -> tuple[Problem, Correlati
     """The problem with steps and correction at parameters `u`, and the errors'
     correlation that the residuals there have, by maximum likelihood of a Markov process
     of free variance."""
-    problem = settled(problem, u)
+    problem = settle_steps(problem, u)
     assert isinstance(problem.forward, RecordForward)
     problem = replace(problem, forward=problem.forward.corrected(problem.changes(u)))
     r, gap = (problem.value - problem.solved(u).predicted) / problem.sigma, np.diff(t)

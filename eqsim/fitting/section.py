@@ -2,7 +2,7 @@
 how noisy."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from eqsim.errors import (
 )
 from eqsim.io.runfile import RunFile, keys, parameters
 from eqsim.laws.named import threshold_parameters
+from eqsim.sweeps.plan import entries
 
 # Free keys of a record that no contact knows, and their names in [fit].
 NUISANCES = {"fit.offset": "offset", "fit.drift": "drift"}
@@ -71,7 +72,7 @@ class Noise(_Section):
     absolute: NotNegative = 0.0
 
 
-class Record(_Section):
+class RecordSection(_Section):
     file: str
     time: str = "t"
     force: str = "force"
@@ -83,7 +84,7 @@ class Fit(_Section):
     """The content of [fit]."""
 
     data: str | None = None
-    record: Record | None = None
+    record: RecordSection | None = None
     scale: Scale | float = 1.0
     temperature: str | None = None
     reference_temperature: Positive | None = None
@@ -107,11 +108,11 @@ class Fit(_Section):
         return [scale._replace(key=f"fit.scale.{name}") for name in sets], 1.0
 
 
-_SECTIONS: dict[str, type[BaseModel]] = {
+_FIT_SECTIONS: dict[str, type[BaseModel]] = {
     "free": Free,
     "scale": Scale,
     "noise": Noise,
-    "record": Record,
+    "record": RecordSection,
 }
 
 
@@ -140,23 +141,9 @@ _TRANSFORMS = {
 
 
 class Parameter(NamedTuple):
-    """A parameter of a fit.
-
-    Attributes
-    ----------
-    key : str
-        A key of the run file, "fit.scale" (of a set: "fit.scale.SET"), "fit.offset" or
-        "fit.drift".
-    transform : str
-        The variable in which it is fitted is ln x ("log"), ln(1 + x) ("log1p") or x
-        ("linear").
-    low, high, start : float
-        Bounds and start, in that variable.
-    prior : NormalPrior, optional
-        Of that variable.
-    linear : bool
-        Whether what is measured is linear in it.
-    """
+    """A parameter of a fit: a key of the run file, "fit.scale" (of a set:
+    "fit.scale.SET"), "fit.offset" or "fit.drift"; bounds, start and prior in the
+    variable in which it is fitted; and whether what is measured is linear in it."""
 
     key: str
     transform: str
@@ -187,19 +174,16 @@ class Parameter(NamedTuple):
 def section_of(file: RunFile) -> Fit:
     """The [fit] section. Raises InputError with one line that names the field."""
     if not file.fit:
-        raise InputError(
-            "fit: the run file has no section [fit]; it says which keys are free and "
-            "where the data are"
-        )
+        raise InputError("fit: the run file has no section [fit]; it says what is free")
     if file.sweep:
         raise InputError("sweep: not allowed with [fit]; a fit chooses its own points")
     given = dict(file.fit)
     if isinstance(given.get("free"), dict):
-        given["free"] = dict(_flat(given["free"]))
+        given["free"] = dict(entries(given["free"], {"bounds"}))
     try:
         fit = Fit.model_validate(given)
     except pydantic.ValidationError as error:
-        raise InputError(_explain(error)) from None
+        raise InputError(_explain_section(error)) from None
     if not fit.free:
         raise InputError("fit.free: is empty; at least one key must be free")
     if isinstance(fit.scale, float):
@@ -207,18 +191,11 @@ def section_of(file: RunFile) -> Fit:
     if fit.area is None and fit.normal_stress is None:
         fit = fit.model_copy(update=_of_interface(file))
     if fit.data is not None and fit.record is not None:
-        raise InputError(
-            "fit.record: not allowed with fit.data; a fit takes one of both"
-        )
-    for name, other in (
-        ("temperature", "reference_temperature"),
-        ("reference_temperature", "temperature"),
-    ):
-        if getattr(fit, name) is None and getattr(fit, other) is not None:
-            raise InputError(
-                f"fit.{name}: is required with fit.{other}; kT of a row is thermal.kT "
-                "T/reference_temperature"
-            )
+        raise InputError("fit.record: not allowed with fit.data; one of both")
+    if (fit.temperature is None) != (fit.reference_temperature is None):
+        missing = "temperature" if fit.temperature is None else "reference_temperature"
+        said = "kT of a row is thermal.kT temperature/reference_temperature"
+        raise InputError(f"fit.{missing}: is required; {said}")
     return fit
 
 
@@ -231,23 +208,13 @@ def _of_interface(file: RunFile) -> dict[str, float]:
     return known if len(known) == 1 else {}
 
 
-def _flat(free: dict[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Join keys that were not quoted, which TOML takes for sections in sections."""
-    for name, content in free.items():
-        nested = isinstance(content, dict) and content and "prior" not in content
-        if nested and all(isinstance(part, dict) for part in content.values()):
-            yield from _flat(content, f"{above}{name}.")
-        else:
-            yield f"{above}{name}", content
-
-
-def _explain(error: pydantic.ValidationError) -> str:
+def _explain_section(error: pydantic.ValidationError) -> str:
     """One line about the first thing that is wrong."""
     first = error.errors(include_url=False)[0]
     place = [str(part) for part in first["loc"] if part not in ("Scale", "float")]
     field, value = ".".join(["fit", *place]), shown(first["input"])
     if first["type"] == "extra_forbidden":
-        section = _SECTIONS[place[0]] if place[1:] else Fit
+        section = _FIT_SECTIONS[place[0]] if place[1:] else Fit
         hint = meant(place[-1], section.model_fields, "known here: ")
         return f"{field}: unknown key; {hint}"
     if first["type"] == "missing":
@@ -310,20 +277,16 @@ def _parameter(key: str, field: str, value: float, free: Free) -> Parameter:
         raise InputError(f"{given}: must be two finite numbers")
     low, high = free.bounds
     if not low < high:
-        raise InputError(
-            f"{given}: must be [least, greatest], the first smaller than the second"
-        )
+        raise InputError(f"{given}: must be [least, greatest], the first smaller")
     if not low > above:
         other = '; transform = "linear" or "log1p" may begin at 0'
+        other = other if transform == "log" else ""
         raise InputError(
-            f'{given}: must be > {above:g} with transform = "{transform}"'
-            f"{other if transform == 'log' else ''}"
+            f'{given}: must be > {above:g} with transform = "{transform}"{other}'
         )
     if not low <= value <= high:
-        raise InputError(
-            f"{field}: starts at {value:g}, the run file's value; must be inside its "
-            f"bounds [{low:g}, {high:g}]"
-        )
+        inside = f"must be inside its bounds [{low:g}, {high:g}]"
+        raise InputError(f"{field}: starts at {value:g}, the file's value; {inside}")
     prior = None
     if free.prior is not None:
         normal = free.prior.normal

@@ -4,7 +4,7 @@ with an identity and a seed."""
 import hashlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import numpy as np
@@ -22,35 +22,19 @@ MOST_POINTS = 1_000_000
 
 
 class Plan:
-    """All points of a run file's [sweep] table, checked.
-
-    Parameters
-    ----------
-    file : RunFile
-    ids : list of str, optional
-        Identities from an earlier plan, of which seeds are made, in the order of the
-        grid, the last axis fastest. Default: digests of parameters and
-        `RESULTS_VERSION`.
-
-    Raises
-    ------
-    InputError
-        For a table, or a point of it, that cannot be used.
-    """
+    """All points of a run file's [sweep] table, in the order of the grid, the last axis
+    fastest. Their identities, of which seeds are made, are digests of parameters and
+    `RESULTS_VERSION`, or `ids` from an earlier plan. Raises InputError for a table, or
+    a point of it, that cannot be used."""
 
     def __init__(self, file: RunFile, ids: list[str] | None = None) -> None:
         self.file = file
         if file["drive.file"] is not None:
-            raise InputError(
-                "drive.file: a sweep has columns for the segments of a drive.programme "
-                "only"
-            )
+            raise InputError("drive.file: not allowed with [sweep]")
         blocks = file["elastic.blocks"] if file["elastic"] else None
         if isinstance(blocks, list):
-            raise InputError(
-                f"elastic.blocks = {shown(blocks)}: must be a number; a sweep has a "
-                "column for chains only"
-            )
+            given = f"elastic.blocks = {shown(blocks)}"
+            raise InputError(f"{given}: a sweep has a column for chains only")
         self.axes = _axes(file)
         self.size = math.prod(len(axis) for axis in self.axes)
         if self.size > MOST_POINTS:
@@ -63,9 +47,8 @@ class Plan:
             if first != index:
                 pairs = self.changes(index).items()
                 same = ", ".join(f"{key} = {shown(value)}" for key, value in pairs)
-                raise InputError(
-                    f"sweep: points {first + 1} and {index + 1} are the same ({same})"
-                )
+                both = f"points {first + 1} and {index + 1}"
+                raise InputError(f"sweep: {both} are the same ({same})")
 
     @property
     def swept(self) -> set[str]:
@@ -113,10 +96,8 @@ def _axes(file: RunFile) -> list[list[dict[str, Any]]]:
         else:
             axes.append([{key: value} for value in _axis(key, spec, file)])
     if not axes:
-        raise InputError(
-            "sweep: the run file needs a [sweep] table, for example "
-            '"drive.velocity" = [0.1, 1.0]'
-        )
+        example = '"drive.velocity" = [0.1, 1.0]'
+        raise InputError(f"sweep: needs a [sweep] table, for example {example}")
     known: set[str] = set()
     for axis in axes:
         changed = {key for row in axis for key in row}
@@ -130,16 +111,14 @@ def _axes(file: RunFile) -> list[list[dict[str, Any]]]:
 def _zipped(group: Any, file: RunFile) -> list[dict[str, Any]]:
     """Axes that advance together."""
     if not isinstance(group, dict) or not group:
+        example = 'zip = [{ "KEY" = [...], ... }]'
         raise InputError(
-            "sweep.zip: must be tables of axes of equal length, "
-            'zip = [{ "KEY" = [...], ... }]'
+            f"sweep.zip: must be tables of axes of equal length, {example}"
         )
     values = {name: _axis(name, spec, file) for name, spec in entries(group)}
     if len({len(axis) for axis in values.values()}) > 1:
         lengths = ", ".join(f"{name} {len(axis)}" for name, axis in values.items())
-        raise InputError(
-            f"sweep.zip: its axes must have equal lengths; found {lengths}"
-        )
+        raise InputError(f"sweep.zip: axes must have equal lengths; found {lengths}")
     rows = zip(*values.values(), strict=True)
     return [dict(zip(values, row, strict=True)) for row in rows]
 
@@ -153,21 +132,19 @@ def _everywhere(axes: list[list[dict[str, Any]]]) -> set[str]:
     return {key for axis in axes for key in set.intersection(*map(set, axis))}
 
 
-def entries(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+def entries(
+    table: dict[str, Any], leaves: Collection[str] = ("log", "linear")
+) -> Iterator[tuple[str, Any]]:
     """Keys and values of a table, also those of unquoted keys such as drive.velocity,
-    which TOML reads as tables."""
-    sections = {key.split(".")[0] for key in keys() if "." in key}
-
-    def parts(key: str, value: Any) -> Iterator[tuple[str, Any]]:
-        above = key in sections or key.startswith(("drive.programme", "drive.stage"))
-        if above and isinstance(value, dict) and not {"log", "linear"} & value.keys():
-            for name, part in value.items():
-                yield from parts(f"{key}.{name}", part)
+    which TOML reads as tables; a table is a value if it has one of the `leaves`."""
+    above = {"fit", *(key.split(".")[0] for key in keys() if "." in key)}
+    for key, value in table.items():
+        nested = key in above or key.startswith(("drive.programme", "drive.stage"))
+        if nested and isinstance(value, dict) and not set(leaves) & value.keys():
+            named = {f"{key}.{name}": part for name, part in value.items()}
+            yield from entries(named, leaves)
         else:
             yield key, value
-
-    for key, value in table.items():
-        yield from parts(key, value)
 
 
 def _refuse_unknown(key: str, file: RunFile) -> None:

@@ -23,6 +23,9 @@ from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
 
+# Columns of a row and their content.
+RowCells = dict[str, Any]
+
 # Observables of any segment of a programme, and of a velocity step.
 OF_SEGMENT = ("end", "peak", "at")
 OF_STEP = ("direct", "evolution", "memory")
@@ -56,21 +59,19 @@ class Asked:
 
 def compute(
     tasks: list[Task], asked: Asked, threads: int, version: int
-) -> list[dict[str, Any]]:
+) -> list[RowCells]:
     """The columns of some points that a worker finds by computing. Raises InputError if
     this worker's results are not of `version`."""
     if version != RESULTS_VERSION:
-        raise InputError(
-            "a worker runs other code (results version "
-            f"{RESULTS_VERSION}, not {version})"
-        )
-    return [_row(task, asked, threads) for task in tasks]
+        versions = f"results version {RESULTS_VERSION}, not {version}"
+        raise InputError(f"a worker runs other code ({versions})")
+    return [_point_row(task, asked, threads) for task in tasks]
 
 
-def _row(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
+def _point_row(task: Task, asked: Asked, threads: int) -> RowCells:
     """The columns of a point; a mistake of its parameters is its message."""
     begin = time.perf_counter()
-    how: dict[str, Any] = {
+    how: RowCells = {
         "seed": task.seed,
         "threads": threads,
         "max_lives": asked.max_lives,
@@ -83,9 +84,9 @@ def _row(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
             row = _elastic(task, drive, sampled)
         elif asked.transient:
             found = trajectory(task.ensemble, drive, **sampled)
-            row = _columns(found.averages, found.lives, [])
+            row = _averages_row(found.averages, found.lives, [])
         else:
-            row = _steady(task, drive, how | {"rel_error": asked.rel_error})
+            row = _steady_cells(task, drive, how | {"rel_error": asked.rel_error})
     except MemoryError:  # the machine's fault, not the point's
         raise
     except Exception as error:
@@ -94,29 +95,29 @@ def _row(task: Task, asked: Asked, threads: int) -> dict[str, Any]:
     return {**row, "seconds": time.perf_counter() - begin}
 
 
-def _steady(task: Task, drive: Drive, how: dict[str, Any]) -> dict[str, Any]:
+def _steady_cells(task: Task, drive: Drive, how: RowCells) -> RowCells:
     found = steady(task.ensemble, drive, **how)
     missed = f"relative error {how['rel_error']:g} was not reached"
-    row = _columns(found, found.lives, [] if found.reached else [missed])
+    row = _averages_row(found, found.lives, [] if found.reached else [missed])
     try:
         exact = reference(task.ensemble, drive)
     except InputError as error:
         return row | _no_reference(row, error)
     row["reference_method"] = exact.method
     for name, level in exact.averages().items():
-        row |= _cells(name, found.averages()[name], level)
+        row |= _filled(name, found.averages()[name], level)
     return row
 
 
-def _elastic(task: Task, drive: Drive, how: dict[str, Any]) -> dict[str, Any]:
+def _elastic(task: Task, drive: Drive, how: RowCells) -> RowCells:
     ensemble, blocks = task.ensemble, drive.elastic
     assert blocks
     found = elastic_trajectory(ensemble, drive, **how)
     exact, friction = reference(ensemble, replace(drive, elastic=None)), found.friction
     reliable = friction.reliable and found.size.reliable
-    row = _judged(found.lives, [] if reliable else [_TOO_SHORT])
+    row = _status(found.lives, [] if reliable else [_TOO_SHORT])
     row |= {"reference_method": exact.method}
-    row |= _cells("friction", friction, exact.friction)
+    row |= _filled("friction", friction, exact.friction)
     size = single = None
     law = ensemble.thresholds
     if not law.steps.size:  # equal thresholds break together: no law of sizes is known
@@ -125,16 +126,18 @@ def _elastic(task: Task, drive: Drive, how: dict[str, Any]) -> dict[str, Any]:
         alone = float(size_law(law, blocks.load, 1)[0])
         single = Estimate(alone, abs(few.single), 0)
     return (
-        row | _cells("size", found.size, size) | _cells("single", found.single, single)
+        row
+        | _filled("size", found.size, size)
+        | _filled("single", found.single, single)
     )
 
 
-def _programme(task: Task, programme: Programme, how: dict[str, Any]) -> dict[str, Any]:
+def _programme(task: Task, programme: Programme, how: RowCells) -> RowCells:
     found = trajectory(task.ensemble, programme, **how)
     if isinstance(found, SliderTrajectory):
-        return _slips(found)
+        return _slip_columns(found)
     doubt = "error bars of forces cannot be trusted"
-    row = _judged(found.lives, [] if found.force_reliable else [doubt])
+    row = _status(found.lives, [] if found.force_reliable else [doubt])
     exact: tuple[SegmentRecord, ...] = ()
     try:
         means = transient(task.ensemble, programme, task.points)
@@ -146,18 +149,18 @@ def _programme(task: Task, programme: Programme, how: dict[str, Any]) -> dict[st
     for index, segment in enumerate(found.segments):
         levels = _of_segment(exact[index]) if exact else {}
         for name, ours in _of_segment(segment).items():
-            row |= _cells(f"segment_{index}_{name}", ours, levels.get(name))
+            row |= _filled(f"segment_{index}_{name}", ours, levels.get(name))
     return row
 
 
-def _slips(found: SliderTrajectory) -> dict[str, Any]:
+def _slip_columns(found: SliderTrajectory) -> RowCells:
     """Columns of the slips of a slider that a stage pulls; its forces are not asked
     for."""
     period, drop = found.period, found.drop
     few = not period.reliable and not period.n == drop.n == 0
-    row = _judged(found.lives, ["few slips"] if few else [])
+    row = _status(found.lives, ["few slips"] if few else [])
     row |= {"slips": len(found.slips)}
-    return row | _cells("period", period) | _cells("drop", drop)
+    return row | _filled("period", period) | _filled("drop", drop)
 
 
 def _of_segment(segment: SegmentRecord) -> dict[str, Estimate]:
@@ -167,32 +170,32 @@ def _of_segment(segment: SegmentRecord) -> dict[str, Estimate]:
     return {name: estimate for name, estimate in found.items() if estimate}
 
 
-def _columns(averages: Averages, lives: int, problems: list[str]) -> dict[str, Any]:
+def _averages_row(averages: Averages, lives: int, problems: list[str]) -> RowCells:
     """Columns of estimates, and what is wrong with them besides `problems`."""
     every = averages.averages()
     doubtful = [name for name, e in every.items() if not (e.reliable or e.diverges)]
     if doubtful:
         said = f"error bars of {', '.join(doubtful)} cannot be trusted"
         problems = [said, *problems]
-    row = _judged(lives, problems)
+    row = _status(lives, problems)
     for name, e in every.items():
-        row |= _cells(name, e)
+        row |= _filled(name, e)
     return row
 
 
-def _judged(lives: int, problems: list[str]) -> dict[str, Any]:
+def _status(lives: int, problems: list[str]) -> RowCells:
     """Columns that say whether a row can be trusted."""
     status = "unreliable" if problems else "ok"
     return {"lives": lives, "status": status, "message": "; ".join(problems) or None}
 
 
-def _no_reference(row: dict[str, Any], error: InputError) -> dict[str, str]:
+def _no_reference(row: RowCells, error: InputError) -> dict[str, str]:
     """The message of a row without a reference."""
     said = (row["message"], f"no reference: {error}")
     return {"message": "; ".join(filter(None, said))}
 
 
-def _cells(name: str, ours: Estimate, level: Estimate | None = None) -> dict[str, Any]:
+def _filled(name: str, ours: Estimate, level: Estimate | None = None) -> RowCells:
     """Columns of an estimate, and of a reference; the schema leaves out those that it
     has not."""
     cells = {

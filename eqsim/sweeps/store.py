@@ -116,10 +116,8 @@ class Store:
         # The folder is read as one table. Without a manifest this is no sweep's, or
         # that of a sweep whose manifest is lost.
         if theirs and not (out / SWEEP_MANIFEST).exists():
-            raise InputError(
-                f"--out {out}: holds files of another origin, {theirs[0].name}; "
-                "must be a folder of its own"
-            )
+            other = f"holds files of another origin, {theirs[0].name}"
+            raise InputError(f"--out {out}: {other}; must be a folder of its own")
         out.mkdir(parents=True, exist_ok=True)
         self.lock = self._locked()
         try:
@@ -128,9 +126,8 @@ class Store:
             for path in (*out.glob(".eqsim-*"), *out.glob("*parts/.eqsim-*")):
                 shutil.rmtree(path) if path.is_dir() else path.unlink()  # unfinished
             settings = {"sweep": file.settings, **dataclasses.asdict(asked)}
-            origin = storage.provenance(
-                "sweep", settings, file.text, file.output.seed, file.folder
-            )
+            where = file.text, file.output.seed, file.folder
+            origin = storage.provenance("sweep", settings, *where)
             origin |= {"schema": SCHEMA, "results_version": RESULTS_VERSION}
             metadata = {"eqsim": storage.to_json(origin)}
             self.schema = schema(file).with_metadata(metadata)
@@ -151,9 +148,7 @@ class Store:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(handle)
-            raise InputError(
-                f"--out {self.out}: another sweep is at work in this folder"
-            ) from None
+            raise InputError(f"--out {self.out}: another sweep is at work") from None
         except OSError:  # a file system without locks
             pass
         return handle
@@ -189,9 +184,8 @@ class Store:
             known = {*now, *before} - plan.swept  # whatever the run file says of these
             changed = [key for key in sorted(known) if now.get(key) != before.get(key)]
         except (ValueError, KeyError, TypeError, AttributeError):
-            raise InputError(
-                f"{path}: is damaged; this folder cannot be continued"
-            ) from None
+            said = "is damaged; this folder cannot be continued"
+            raise InputError(f"{path}: {said}") from None
         if _VERSION in changed:
             raise InputError(
                 f"--out {self.out}: was begun by another version of eqsim (results "
@@ -205,9 +199,8 @@ class Store:
                 f"is {now.get(key, 'absent')[:80]}"
                 for key in changed
             )
-            raise InputError(
-                f"--out {self.out}: holds another sweep, use another folder: {listed}"
-            )
+            other = f"holds another sweep, use another folder: {listed}"
+            raise InputError(f"--out {self.out}: {other}")
 
     def _load(self) -> None:
         """Read the rows on disk; note and remove damaged files. Raises InputError for
@@ -222,10 +215,8 @@ class Store:
             if table is None:
                 self.damaged.append(str(path))
             elif not table.schema.equals(self.schema):
-                raise InputError(
-                    f"{path}: has other columns than this version of eqsim writes; "
-                    "use another folder"
-                )
+                other = "has other columns than this version of eqsim writes"
+                raise InputError(f"{path}: {other}; use another folder")
             else:
                 self.tables.append(table)
         for path in map(Path, self.damaged):
@@ -243,7 +234,7 @@ class Store:
         point_id, point = self.plan.ids[index], self.plan.at(index)
         row = {**parameters(point), **row, **physical(point, row)}
         row |= {"id": point_id, "seed": seed_of(point_id), "kind": self.kind}
-        self.rows.append(row | {"eqsim_version": _version()})
+        self.rows.append(row | {"eqsim_version": _eqsim_version()})
         self.done.add(point_id)
         if len(self.rows) >= _FLUSH_ROWS:
             self.flush()
@@ -314,5 +305,5 @@ def _digest(content: bytes) -> str:
 
 
 @functools.cache
-def _version() -> str:
+def _eqsim_version() -> str:
     return storage.versions()["eqsim"]

@@ -2,7 +2,7 @@
 and what is not scored."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
@@ -159,42 +159,26 @@ def stream(*numbers: int) -> int:
 
 
 def columns(scores: list[Score]) -> dict[str, list[Any]]:
-    """The scores as columns of a table, one row per comparison."""
-    rows = [dict(_row(score)) for score in scores]
+    """The scores as columns of a table, one row per comparison; NaN where a column does
+    not apply."""
+    rows = [_table_row(score) for score in scores]
     return {name: [row[name] for row in rows] for name in rows[0]} if rows else {}
 
 
-def _row(score: Score) -> Iterator[tuple[str, Any]]:
-    """Name and content of each cell of a comparison; NaN where there is none."""
-    of, aging = score.ensemble, score.ensemble.aging
-    yield from {
-        "kind": score.kind,
-        "disorder": of.disorder,
-        "barrier": of.thermal.barrier,
-        "stiffness_law": of.stiffness_law,
-        "thresholds": law_text(of.thresholds),
-        "kT": of.thermal.kT,
-        "aging": aging.rule,
-        "aging_rate": aging.rate,
-    }.items()
+def _table_row(score: Score) -> dict[str, Any]:
+    of, thermal, aging = score.ensemble, score.ensemble.thermal, score.ensemble.aging
     takes = RULES[aging.rule].keys if aging.rule in RULES else ()
-    for name in (field.name for field in fields(Aging)[2:]):
-        yield name, getattr(aging, name) if name in takes else math.nan
-    yield from {
-        "delay": of.delay.time,
-        "delay_law": of.delay.law,
-        "eta": of.eta,
-        "velocity": score.velocity,
-        "value": score.value,
-        "reference": score.reference,
-        "sigma": score.sigma,
-        "z": score.z,
-        "even": score.even,
-        "contacts": score.count,
-        "time": score.time,
-    }.items()
-    others = {f"newborn_{name}": x for name, x in vars(of.newborn).items()}
+    others = [field.name for field in fields(Aging)[2:]]
+    found: dict[str, Any] = {"kind": score.kind, "disorder": of.disorder}
+    found |= {"barrier": thermal.barrier, "stiffness_law": of.stiffness_law}
+    found |= {"thresholds": law_text(of.thresholds), "kT": thermal.kT}
+    found |= {"aging": aging.rule, "aging_rate": aging.rate}
+    found |= {name: getattr(aging, name) if name in takes else None for name in others}
+    found |= {"delay": of.delay.time, "delay_law": of.delay.law, "eta": of.eta}
+    found |= {name: getattr(score, name) for name in ("velocity", "value", "reference")}
+    found |= {"sigma": score.sigma, "z": score.z, "even": score.even}
+    found |= {"contacts": score.count, "time": score.time}
+    found |= {f"newborn_{name}": value for name, value in vars(of.newborn).items()}
     for name in ("stiffness", "damping", "preload"):
-        others[f"stage_{name}"] = getattr(score.stage, name, None)
-    for name, value in others.items():
-        yield name, math.nan if value is None else value
+        found[f"stage_{name}"] = getattr(score.stage, name, None)
+    return {name: math.nan if x is None else x for name, x in found.items()}

@@ -36,7 +36,7 @@ from eqsim.laws.threshold import Delta, Distribution, Gamma, Table, ThresholdLaw
 from eqsim.model.ensemble import Ensemble
 
 # Laws of thresholds that do not drift, in turn.
-LAWS = (
+DRAWN_LAWS = (
     *("gamma", "few", "lognorm", "sample", "weibull_min", "two", "pareto", "histogram"),
     *("uniform", "arcsine", "triang", "loglaplace", "few", "delta", "narrow"),
 )
@@ -95,13 +95,14 @@ def sample(
     )
     ages = aging.permutation(count) < count // 3
     others = laws.permutation(np.flatnonzero(~ages)).tolist()
-    kinds = dict(zip(others, itertools.cycle(LAWS), strict=False))
+    kinds = dict(zip(others, itertools.cycle(DRAWN_LAWS), strict=False))
     barriers, delays = tuple(BARRIERS), tuple(DELAYS)
     for index in range(count):
         v = 10 ** rng.uniform(-4, 2)
         kT = 0.0 if index % 10 == 9 else 10 ** rng.uniform(-2, 0.5)
         delay = 0.0 if rng.random() < 0.4 else 10 ** rng.uniform(-3, 3)  # in lives
-        law = _thresholds(kinds.get(index, "gamma"), 10 ** rng.uniform(-0.5, 0.5), laws)
+        kind, unit = kinds.get(index, "gamma"), 10 ** rng.uniform(-0.5, 0.5)
+        law = _drawn_thresholds(kind, unit, laws)
         unit = law.scale
         ensemble = Ensemble(
             law,
@@ -118,7 +119,7 @@ def sample(
             grows = Aging("logarithmic", beta=beta, cutoff_time=slid / v)
             ensemble = replace(ensemble, aging=grows)
         elif newborn.random() < 1 / 4:
-            ensemble = _born_stretched(ensemble, newborn)
+            ensemble = _stretched_at_birth(ensemble, newborn)
         if index % step != first:
             continue  # lives take time
         if delay:
@@ -127,7 +128,7 @@ def sample(
         yield index, ensemble, v * unit
 
 
-def _thresholds(kind: str, unit: float, rng: np.random.Generator) -> ThresholdLaw:
+def _drawn_thresholds(kind: str, unit: float, rng: np.random.Generator) -> ThresholdLaw:
     """A law of thresholds, `unit` wide, in numbers of four digits: few of them, some
     several times as likely, over up to four decades; a sample of up to 500; shapes of
     SciPy's laws."""
@@ -176,7 +177,7 @@ def _thresholds(kind: str, unit: float, rng: np.random.Generator) -> ThresholdLa
     return Distribution(getattr(stats, kind)(*shape, scale=scale))
 
 
-def _born_stretched(ensemble: Ensemble, rng: np.random.Generator) -> Ensemble:
+def _stretched_at_birth(ensemble: Ensemble, rng: np.random.Generator) -> Ensemble:
     """The same contacts, with thresholds of a gamma law (references of others take
     long), born stretched by up to about a typical one, along the motion or against it.
     """

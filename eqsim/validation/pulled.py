@@ -6,7 +6,7 @@ the slider and stretches all others. Without mass and damping the slider is in b
 at any time, N kappa (Y - X) = sum of k_i x_i; in a hold stretches then change at breaks
 only, and between them contact i breaks at the constant rate r_i(x_i). With delays much
 longer than the hold none is pinned again, and the law of one or two contacts is an
-integral over their thresholds (`survivors`, derived), as that of many is behind a
+integral over their thresholds (`pinned_in_hold`, derived), as that of many is behind a
 spring so stiff that a break moves the slider by nothing.
 
 Steps are judged by their quoted errors, which hold all that a step four times as long
@@ -39,11 +39,11 @@ from eqsim.validation.points import Suite
 
 # Octaves of e = -ln P(xi > .): less than 1e-12 of all thresholds is weaker, 1e-13
 # stronger.
-_OCTAVES = range(-40, 6)
+_HAZARD_OCTAVES = range(-40, 6)
 # Gauss-Legendre nodes in each octave, for one and for two contacts.
 _PER_OCTAVE = {1: 48, 2: 9}
 # By how much of a pinned share a break moves a slider behind an all but rigid spring.
-_CERTAIN = 1e-6
+_MOVED_BY_BREAK = 1e-6
 # Longest hold, in attempts; beyond, pinned contacts stay.
 _LONGEST_HOLD = 1e12
 # Looks at a hold, against one.
@@ -63,7 +63,7 @@ _REPLICAS_OF_ONE = 50
 _RIGID = 100
 
 
-def compared(point: Point, plan: Suite) -> Found:
+def compare_pulled(point: Point, plan: Suite) -> Found:
     """All comparisons of a pulled slider at a point: each kind at its own share of the
     points."""
     number, warm = point.number, point.ensemble.thermal.kT > 0
@@ -77,7 +77,7 @@ def compared(point: Point, plan: Suite) -> Found:
     return [one for compare in chosen for one in compare(point, plan)]
 
 
-def _plain(ensemble: Ensemble, count: int, delay: Delay) -> Ensemble:
+def _bare(ensemble: Ensemble, count: int, delay: Delay) -> Ensemble:
     """So many contacts with the same thresholds, stiffness and heat, without aging and
     viscosity, born unstretched."""
     ensemble = replace(ensemble, eta=0.0, aging=Aging(), newborn=Newborn())
@@ -94,7 +94,7 @@ def nodes(law: ThresholdLaw, each: int) -> tuple[Array, Array]:
         xi, count = np.unique(law.steps, return_counts=True)
         return xi, count / law.steps.size
     x, weight = gauss_legendre(each)
-    octave = 2.0 ** np.array(_OCTAVES)[:, None]
+    octave = 2.0 ** np.array(_HAZARD_OCTAVES)[:, None]
     e = (octave * (1.5 + 0.5 * x)).ravel()
     share = (0.5 * octave * weight).ravel() * np.exp(-e)
     return np.asarray(law.inverse_survival(e)), share / share.sum()
@@ -128,7 +128,9 @@ def _stiffness(ensemble: Ensemble, xi: Array) -> Array:
     return np.asarray(ensemble.stiffness * relative_stiffness(law, xi, rms))
 
 
-def survivors(ensemble: Ensemble, stage: Stage, each: int) -> Callable[[float], float]:
+def pinned_in_hold(
+    ensemble: Ensemble, stage: Stage, each: int
+) -> Callable[[float], float]:
     """The pinned share as a function of the time of a hold, from a fresh start: of one
     or two contacts, or of many behind a spring that is all but rigid."""
     law, kappa, pull = ensemble.thresholds, stage.stiffness, stage.preload or 0.0
@@ -185,7 +187,7 @@ def _hold(
     stretch = rng.uniform(0.2, 0.8) * point.ensemble.thresholds.mean
     preload = float(f"{stretch * (1.0 + kappa) / kappa:.4g}")
     stage = Stage(kappa, preload=preload, tolerance=tolerance)
-    pinned = survivors(_plain(ensemble, 1, Delay()), stage, _PER_OCTAVE[1])
+    pinned = pinned_in_hold(_bare(ensemble, 1, Delay()), stage, _PER_OCTAVE[1])
     aim = pinned(0.0) * rng.uniform(0.3, 0.7)
     low, high = -3.0, math.log10(_LONGEST_HOLD)
     if pinned(10**high) > aim:
@@ -208,7 +210,7 @@ def _pinned(point: Point, waits: Delay, looks: int, seed: int, plan: Suite) -> E
     """The pinned share at the end of a hold. Raises LeftOut if all replicas agree."""
     hold = Segment(0.0, time=point.time, points=looks)
     run = trajectory(
-        _plain(point.shown, point.contacts, waits),
+        _bare(point.shown, point.contacts, waits),
         Programme((hold,), stage=point.stage),
         points=2,
         seed=seed,
@@ -222,9 +224,9 @@ def _pinned(point: Point, waits: Delay, looks: int, seed: int, plan: Suite) -> E
 
 @compares("hold")
 def holds(point: Point, plan: Suite) -> Found:
-    """The pinned share of one or two contacts after a hold of the stage, or of a hundred
-    behind a spring that is all but rigid, against the exact law; all detached ones stay
-    so."""
+    """The pinned share after a hold of the stage, against the exact law: of one or two
+    contacts, or of a hundred behind a spring that is all but rigid; all detached ones
+    stay so."""
     rng = point.rng(6)
     held = _hold(point, rng, 10 ** rng.uniform(-1.5, 0.5), plan.tolerance)
     counts = [1, 2, _RIGID] if plan.replicas >= _REPLICAS_OF_ONE else [2, _RIGID]
@@ -234,12 +236,12 @@ def holds(point: Point, plan: Suite) -> Found:
     assert held.stage is not None
     waits = Delay(held.time * 10 ** rng.uniform(6, 12))
     ours = _pinned(held, waits, 1, held.stream(6), plan)
-    ensemble = _plain(held.ensemble, held.contacts, waits)
+    ensemble = _bare(held.ensemble, held.contacts, waits)
     each = _PER_OCTAVE.get(held.contacts, _PER_OCTAVE[1])
     value, coarse = (
-        survivors(ensemble, held.stage, n)(held.time) for n in (2 * each, each)
+        pinned_in_hold(ensemble, held.stage, n)(held.time) for n in (2 * each, each)
     )
-    exact = Estimate(value, abs(value - coarse) + _CERTAIN, 0)
+    exact = Estimate(value, abs(value - coarse) + _MOVED_BY_BREAK, 0)
     return [held.score("hold", ours, exact)]
 
 
@@ -279,7 +281,8 @@ def steps(point: Point, plan: Suite) -> Found:
     quoted errors have beyond the scatter of replicas."""
     rng, n, v = point.rng(8), plan.replicas, point.velocity
     count, kappa = int(rng.choice([10, 30, 100])), float(10 ** rng.uniform(-0.3, 0.7))
-    shown, mean = _plain(point.shown, count, Delay()), point.ensemble.thresholds.mean
+    shown = _bare(point.shown, count, Delay())
+    mean = point.ensemble.thresholds.mean
     stage, pulls = Stage(kappa, damping=0.5 * mean / v, tolerance=1e-2), list[_Pull]()
     segments = (Segment(v, distance=1.5 * mean, points=1),)
     for tolerance in (1e-2, 1e-3):
@@ -321,7 +324,7 @@ def avalanches(point: Point, plan: Suite) -> Found:
     rho = load_of(law, kappa, stiffness)
     few = missed_by_few(law, rho, _AVALANCHING, stiffness)
     alone = float(size_law(law, rho, 1, stiffness)[0])
-    shown = _plain(point.shown, _AVALANCHING, Delay())
+    shown = _bare(point.shown, _AVALANCHING, Delay())
     shown = replace(shown, thermal=replace(shown.thermal, kT=0.0))
     stage, distance = Stage(kappa, preload=None), 3.0 * law.mean
     segments = (Segment(1.0, distance=distance, points=1),)
@@ -349,4 +352,4 @@ def avalanches(point: Point, plan: Suite) -> Found:
     return scores
 
 
-KINDS = (*holds.kinds, *pieces.kinds, *steps.kinds, *avalanches.kinds)
+PULLED_KINDS = (*holds.kinds, *pieces.kinds, *steps.kinds, *avalanches.kinds)

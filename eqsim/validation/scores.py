@@ -60,13 +60,13 @@ from eqsim.validation.points import Suite
 # Displacements of a transient, each with an ensemble of its own.
 _DISPLACEMENTS = 8
 # Segments of a programme, and those of jitter, which go back and forth.
-_SEGMENTS = 4
+_SEGMENTS_COMPARED = 4
 _JITTER = 8
 # Relative error of steady averages.
 _REL_ERROR = 1e-4
 # Contacts of either state that carry the force, n <f>^2/<f^2>, for a mean over them to
 # be normal, and for a mean of squares.
-_ENOUGH = 400
+_ENOUGH_CONTACTS = 400
 _ENOUGH_SQUARES = 1600
 # Share of the sum of squares of 64 normal numbers, of which the largest makes more once
 # in fifty times.
@@ -74,17 +74,17 @@ _LARGEST_SHARE = 0.2
 # Groups of contacts, whose scatter is the error of a variance.
 _GROUPS = 64
 # Cells of the grid of a transient, times thresholds of a table.
-_CELLS = 120_000
+_GRID_CELLS = 120_000
 # How far, relatively, below a threshold of a table contacts that have it still live.
-_BELOW = 1e-13
+_JUST_BELOW = 1e-13
 # Contacts of a pilot, at most.
 _PILOT = 400_000
 # Rounding of a threshold that was computed in two ways; as many lives end by heat as
 # close to it.
-_ROUNDING = 1e-12
+_THRESHOLD_ROUNDING = 1e-12
 # Standard deviation over mean of thresholds, below which references of warm programmes
 # take minutes.
-_NARROW = 0.03
+_NARROW_LAW = 0.03
 # Lives of one comparison, at most.
 _MOST_LIVES = 1e8
 # How much longer `langevin` lives take than others; stationary ones are found by
@@ -92,7 +92,7 @@ _MOST_LIVES = 1e8
 _DEAR = 20
 
 
-def compared(point: Point, plan: Suite) -> Found:
+def compare_driven(point: Point, plan: Suite) -> Found:
     """All comparisons of contacts along a given drive at a point."""
     number, stride = point.number, plan.points // plan.wide if plan.wide else 0
     asked = {
@@ -129,7 +129,7 @@ def _followed(ensemble: Ensemble) -> bool:
     if ensemble.self_consistent or ensemble.fluctuates or ensemble.newborn.active:
         return False
     law, warm = ensemble.thresholds, ensemble.thermal.kT > 0.0
-    narrow = not law.steps.size and (law.rms / law.mean) ** 2 - 1.0 < _NARROW**2
+    narrow = not law.steps.size and (law.rms / law.mean) ** 2 - 1.0 < _NARROW_LAW**2
     return not (narrow and warm and ensemble.disorder == "quenched")
 
 
@@ -177,7 +177,7 @@ class _End(NamedTuple):
     carrying: float
 
 
-def _end(
+def _end_of(
     drive: Drive | Programme, exact: Transient, i: int, drag: float, moved: float = 0.0
 ) -> _End:
     """The end of a drive, row `i` of a reference along a path that is `moved` by so
@@ -206,7 +206,7 @@ def _score_end(
     broken = shown.count * variance / max(level**2, 1e-300)
     if isinstance(end.drive, Programme):
         broken = math.inf
-    if not (min(few, broken) if shown.fluctuates else few) >= _ENOUGH:
+    if not (min(few, broken) if shown.fluctuates else few) >= _ENOUGH_CONTACTS:
         return point.without(kinds, "few contacts")
     first, pilot, groups = (point.stream(*numbers) for numbers in streams)
     run = trajectory(shown, end.drive, points=2, seed=first, threads=point.threads)
@@ -216,9 +216,9 @@ def _score_end(
         scores = [point.score(kinds[0], ours, end.mean)]
     group = replace(shown, count=shown.count // _GROUPS)
     enough = min(few, broken) >= _ENOUGH_SQUARES
-    if not (enough and _many(_about(level, group, end.drive, pilot))):
+    if not (enough and _many(_mean_squares(level, group, end.drive, pilot))):
         return scores + point.without(kinds[1:], "few contacts")
-    ours = mean_of(_about(level, group, end.drive, groups), 0, _GROUPS - 1)
+    ours = mean_of(_mean_squares(level, group, end.drive, groups), 0, _GROUPS - 1)
     return [*scores, point.score(kinds[1], ours, end.variance)]
 
 
@@ -252,19 +252,19 @@ def transients(point: Point, plan: Suite) -> Found:
     sized = _affordable(point, plan, whole, 20_000, 1e6)
     # near jumps of F the error is what a few cells of the grid make of it
     steps = ensemble.thresholds.steps.size
-    every = max(1, _CELLS // (_DISPLACEMENTS * max(12, steps))) if steps else 1
+    every = max(1, _GRID_CELLS // (_DISPLACEMENTS * max(12, steps))) if steps else 1
     exact = transient(ensemble, whole, points=_DISPLACEMENTS * every + 1, variance=True)
     if exact.force_variance is None or exact.force_variance_error is None:
         raise LeftOut("vague")
     scores: Found = []
     for i in range(1, _DISPLACEMENTS + 1):
         drive = point.drive(distance * i / _DISPLACEMENTS)
-        end = _end(drive, exact, i * every, _drag(ensemble, v))
+        end = _end_of(drive, exact, i * every, _drag(ensemble, v))
         scores += _score_end(sized, end, transients.kinds, ((i,), (i, 1), (i, 2)))
     return scores
 
 
-class Course(NamedTuple):
+class HeldProgramme(NamedTuple):
     """A programme, and the `same` but for segments so slow, or so short and many, that
     they are holds: of each segment of that, where it ends among those of the
     `programme`, and by how much the force differs at most."""
@@ -275,7 +275,7 @@ class Course(NamedTuple):
     off: float
 
 
-def programme_of(point: Point) -> Course:
+def programme_of(point: Point) -> HeldProgramme:
     """Steps, holds and reversals, from a fresh or stationary start: displacements of
     0.2 to 3 mean lives at 0.1 to 10 times the velocity of the point, holds of 0.1 to
     100 lives at that velocity. A third of the holds are crawls at a velocity 1e-25 to
@@ -287,7 +287,7 @@ def programme_of(point: Point) -> Course:
     first = Segment(v * speed, distance=life * length, points=1)
     segments, same, ends, moved = [first], [first], [1], 0.0
     forward = True
-    while len(same) < _SEGMENTS:
+    while len(same) < _SEGMENTS_COMPARED:
         kind = rng.choice(["hold", "reversal", "step"])
         if kind == "hold":
             hold = Segment(0.0, time=life / v * 10 ** rng.uniform(-1, 2), points=1)
@@ -304,7 +304,7 @@ def programme_of(point: Point) -> Course:
         ends.append(len(segments))
     start: Start = "stationary" if rng.random() < 0.5 else "fresh"
     whole, slow = (Programme(tuple(each), start, v) for each in (segments, same))
-    return Course(whole, slow, ends, moved)
+    return HeldProgramme(whole, slow, ends, moved)
 
 
 def _pieces(
@@ -316,18 +316,16 @@ def _pieces(
         return [hold]
     if kind == "crawl":
         return [Segment(v * 10 ** rng.uniform(-25, -12), time=time, points=1)]
-    velocity, each = (
-        life * 10 ** rng.uniform(-18, -8) / (time / _JITTER),
-        time / _JITTER,
-    )
+    each = time / _JITTER
+    velocity = life * 10 ** rng.uniform(-18, -8) / each
     signs = (1, -1) * (_JITTER // 2)
     return [Segment(sign * velocity, time=each, points=1) for sign in signs]
 
 
-@compares("programme", "programme variance", each=_SEGMENTS)
+@compares("programme", "programme variance", each=_SEGMENTS_COMPARED)
 def programmes(point: Point, plan: Suite) -> Found:
-    """The force at the end of each segment of a programme (steps, holds, crawls, jitter,
-    reversals), from an ensemble of its own, and from another its variance."""
+    """The force at the end of each segment of a programme (steps, holds, crawls,
+    jitter, reversals), from an ensemble of its own, and from another its variance."""
     whole, same, ends, moved = programme_of(point)
     sized = _affordable(point, plan, whole, 100_000, 4e6)
     try:
@@ -340,7 +338,7 @@ def programmes(point: Point, plan: Suite) -> Found:
         drag = _drag(point.ensemble, abs(segment.velocity))
         drag = math.copysign(drag, segment.velocity)
         drive = replace(whole, segments=whole.segments[:last])
-        end = _end(drive, exact, i, drag, moved)
+        end = _end_of(drive, exact, i, drag, moved)
         scores += _score_end(sized, end, programmes.kinds, ((i, 3), (i, 4), (i, 5)))
     return scores
 
@@ -372,7 +370,9 @@ def _carrying(level: float, variance: float, pinned: float, drag: float) -> floa
     return min(share, pinned, 1.0 - pinned if drag else 1.0)
 
 
-def _about(level: float, group: Ensemble, drive: Drive | Programme, seed: int) -> Array:
+def _mean_squares(
+    level: float, group: Ensemble, drive: Drive | Programme, seed: int
+) -> Array:
     """The variance of F/k per contact about its expectation, at the end of the drive,
     in each of _GROUPS groups."""
     forces, variances = _forces(group, drive, _GROUPS, seed)
@@ -409,11 +409,11 @@ def hazards(point: Point, plan: Suite) -> Found:
     if not (c.aging.closed or c.aging.fluctuates):
         end = np.empty(u.size)
         whole_lives(c, xi, end, np.empty(u.size))
-    thermal = stretch < end * (1.0 - _ROUNDING)
+    thermal = stretch < end * (1.0 - _THRESHOLD_ROUNDING)
     x = np.stack((np.minimum(stretch, end), end)) * unit
     hazard, total = _integrated(s, xi * unit, x)
     mean, scores = float(hazard.sum()), point.without(hazards.kinds, "few contacts")
-    if mean >= _ENOUGH:
+    if mean >= _ENOUGH_CONTACTS:
         ours = Estimate(float(thermal.sum()), math.sqrt(mean), u.size)
         scores[0] = point.score("hazard", ours, Estimate(mean, 0.0, 0))
     if thermal.any():
@@ -426,7 +426,7 @@ def _integrated(s: Reduced, xi: Array, x: Array) -> Array:
     """Integrated hazards to stretches `x` (any, n) of contacts born with thresholds
     `xi` (n,)."""
     if s.annealed:
-        return _pooled(s, x)
+        return _pooled_hazards(s, x)
     if isinstance(s.aging, Unaged):
         a = s.barrier.b * relative_stiffness(s.stiffness, xi, s.rms)
         return np.exp(s.barrier.log_hazard(x, xi, a) + s.barrier.log_w)
@@ -440,11 +440,11 @@ def _integrated(s: Reduced, xi: Array, x: Array) -> Array:
     return np.asarray(found.integral)
 
 
-def _pooled(s: Reduced, x: Array) -> Array:
+def _pooled_hazards(s: Reduced, x: Array) -> Array:
     """Integrated hazards of annealed contacts: -ln of survival over J_c, just below x,
     where a discrete law still has the threshold x."""
     order = np.argsort(x.ravel())
-    below = x.ravel()[order] * (1.0 - _BELOW if s.law.steps.size else 1.0)
+    below = x.ravel()[order] * (1.0 - _JUST_BELOW if s.law.steps.size else 1.0)
     # a threshold that cannot be is no survivor
     ahead = np.maximum(s.law.sf(below * s.law.scale), 1e-300)
     alive, found = profile_of(s).at(below)[0] / ahead, np.empty(x.size)
@@ -477,13 +477,14 @@ def fluctuating(point: Point, plan: Suite) -> Found:
     carrying = _carrying(level, float(exact.covariance[0]), known(means.pinned), drag)
     carry = count * ensembles * carrying
     square, product = (exact.covariance + (level - drag) ** 2).tolist()
-    if carry < _ENOUGH:
+    if carry < _ENOUGH_CONTACTS:
         raise LeftOut("few contacts")
     at_once = point.drive(1e-6 * lag, "stationary")
     group = replace(shown, count=max(1, min(count * ensembles, _PILOT) // _GROUPS))
     of_squares = carry / _ENOUGH_SQUARES
-    if of_squares >= 1.0 and not _many(_about(level, group, at_once, point.stream(1))):
-        of_squares = 0.0
+    if of_squares >= 1.0:
+        found = _mean_squares(level, group, at_once, point.stream(1))
+        of_squares *= _many(found)
     forces, _ = _forces(shown, point.drive(lag, "stationary"), ensembles, point.seed)
     first, second = (forces - level).T
     # what the error of C can do
@@ -540,7 +541,7 @@ def _job(ensemble: Ensemble, drive: Drive | Programme, seed: int) -> Job:
     return constant_drive(c, table, run, scales, stream, drag_of(ensemble, v))
 
 
-KINDS = (
+DRIVEN_KINDS = (
     *OBSERVABLES,
     *transients.kinds,
     *programmes.kinds,

@@ -39,7 +39,7 @@ from eqsim.validation.comparison import (
 )
 from eqsim.validation.points import SUITES, WHOLE, Part, sample
 
-KINDS = (*scores.KINDS, *pulled.KINDS)
+KINDS = (*scores.DRIVEN_KINDS, *pulled.PULLED_KINDS)
 
 ALARM = 1e-4
 
@@ -212,7 +212,7 @@ def validate(
         shown = wrong(ensemble) if wrong else ensemble
         drawn = stream(seed, index)
         point = Point(index, ensemble, shown, v, drawn, seed, threads)
-        found += scores.compared(point, plan) + pulled.compared(point, plan)
+        found += scores.compare_driven(point, plan) + pulled.compare_pulled(point, plan)
         if progress:
             progress(done, total)
     made = [one for one in found if isinstance(one, Score)]
