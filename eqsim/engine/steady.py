@@ -45,16 +45,16 @@ from eqsim.numerics.tables import Array
 
 # relative error asked for, from which on half as many lives will do at first: errors
 # are then a hundredth of what is asked
-_COARSE = 1e-2
+_COARSE_ERROR = 1e-2
 # error ~ lives^-decay, assumed when lives are predicted: between Monte Carlo and smooth
 # integrands
 _DECAY = 0.75
 # relative change of C that shows how births respond to it; the fixed point is
 # linearised within its square
 _NUDGE = 1e-2
-_SETTLED = 3e-5  # relative error of the C that a trajectory's births are given
+_SETTLED_ERROR = 3e-5  # relative error of the C that a trajectory's births are given
 # a single life that makes up more of a sum than this has siblings that were not seen
-_DOMINANT = 0.02
+_DOMINANT_SHARE = 0.02
 # a variance with a greater relative error has them, too: squares have heavier tails
 # than the force
 _BROAD = 0.05
@@ -161,7 +161,7 @@ def steady(
     response: Array | None = None
     size, done = FEWEST_LIVES, 0
     # plain lives and random paths have larger errors
-    if proposal and rel_error >= _COARSE and not c.aging.fluctuates:
+    if proposal and rel_error >= _COARSE_ERROR and not c.aging.fluctuates:
         size //= 2
     while True:
         count = RANDOMISATIONS * size
@@ -204,7 +204,9 @@ def settled(
     by a steady estimate; None for all others."""
     if not ensemble.self_consistent:
         return None
-    found = steady(ensemble, drive, rel_error=_SETTLED, seed=seed, threads=threads)
+    found = steady(
+        ensemble, drive, rel_error=_SETTLED_ERROR, seed=seed, threads=threads
+    )
     return known(found.break_stretch)
 
 
@@ -261,7 +263,7 @@ def _averages(
 ) -> tuple[Estimate, ...]:
     """Delta-method estimates from the randomisations, in the order of `OBSERVABLES`;
     `drag` is eta v/k and `unit` that of length."""
-    reliable = covered and float(sums[:, 4].max()) < _DOMINANT
+    reliable = covered and float(sums[:, 4].max()) < _DOMINANT_SHARE
     n, delay, hidden = RANDOMISATIONS * size, c.delay.mean, unseen.means
     work, travel, square, birth = sums[:, :4].T
     cycle = travel + delay
@@ -288,7 +290,7 @@ def _averages(
     finite = math.isfinite(value) and math.isfinite(stderr)
     if stiffness_varies(c.aging, c.springs) or not finite:
         variance = Estimate(None, None, n)
-    elif stderr > _BROAD * abs(value) or largest >= _DOMINANT:
+    elif stderr > _BROAD * abs(value) or largest >= _DOMINANT_SHARE:
         variance = replace(variance, reliable=False)
     # births along the motion and against it cancel; <|f|>^2 <= pinned <f^2>
     force = max(abs(friction), math.sqrt(second * pinned) if birth.any() else 0.0)
