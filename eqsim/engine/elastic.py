@@ -32,7 +32,7 @@ from eqsim.engine.records import ElasticTrajectory, by_replica
 from eqsim.engine.scatter import births, scatter
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate, drifts, ratio
-from eqsim.model.drive import Drive, check_output
+from eqsim.model.drive import Drive, Output
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.compiled import kernel, routine
@@ -299,17 +299,12 @@ def raise_level(
 
 
 def check_elastic(
-    ensemble: Ensemble,
-    drive: Drive,
-    points: int,
-    seed: int,
-    replicas: int,
-    max_lives: float,
+    ensemble: Ensemble, drive: Drive, output: Output, max_lives: float
 ) -> tuple[Elastic, float]:
     """Blocks of a run, and its predicted lives. Raises InputError if contacts are not
     those of the quasi-static model, or the run takes too many lives or too much
     memory."""
-    check_output(points, seed, replicas)
+    points, replicas = output.points, output.replicas
     elastic = drive.elastic
     if elastic is None:
         raise InputError("drive.elastic: is required, the blocks that the plate pulls")
@@ -521,7 +516,8 @@ def elastic_trajectory(
     >>> int(found.avalanches["breaks"].sum()) + 200 == found.lives
     True
     """
-    elastic, _ = check_elastic(ensemble, drive, points, seed, replicas, max_lives)
+    output = Output(points, seed, replicas)
+    elastic, _ = check_elastic(ensemble, drive, output, max_lives)
     unit, count = ensemble.thresholds.scale, ensemble.count
     interface = _Interface.of(ensemble, drive, elastic, points, seed)
     none, levels = np.empty(0), interface.levels[:1]

@@ -19,7 +19,7 @@ from eqsim.engine.records import SliderTrajectory, Slip, by_replica, shown_by, s
 from eqsim.engine.scatter import pinned_variance
 from eqsim.engine.slider import Slider
 from eqsim.laws.stiffness import kappa
-from eqsim.model.drive import Grid, Programme
+from eqsim.model.drive import Grid, Output, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import pull_of
 from eqsim.numerics.tables import Array
@@ -205,14 +205,12 @@ def _avalanches_in_units(
 def pulled(
     ensemble: Ensemble,
     programme: Programme,
-    points: int,
-    seed: int,
-    replicas: int,
+    output: Output,
     threads: Threads,
     progress: Progress | None,
 ) -> SliderTrajectory:
     """Simulate `trajectory.trajectory` of a slider that a stage pulls."""
-    grid = programme.grid(points)
+    grid, replicas, seed = programme.grid(output.points), output.replicas, output.seed
     unit = ensemble.thresholds.scale
     pull = pull_of(ensemble, programme)
     per_time = pull.pace / unit

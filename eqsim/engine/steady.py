@@ -32,7 +32,7 @@ from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.errorbars import Unseen, hidden_errors, table_errors
 from eqsim.engine.langevin import STEP, step_error
 from eqsim.engine.proposal import FEWEST_LIVES, RANDOMISATIONS, proposal_of
-from eqsim.engine.randomise import Job, randomise
+from eqsim.engine.randomise import SteadyJob, randomise
 from eqsim.engine.sample import rough_stretch
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate, infinite, known
@@ -154,7 +154,9 @@ def steady(
     step = STEP
     if c.aging.fluctuates and proposal:
         step *= min(1.0, math.sqrt(rel_error / (3.0 * step_error(c.aging))))
-    job = Job(ensemble, velocity, proposal, identity, seed, threads, progress, step)
+    job = SteadyJob(
+        ensemble, velocity, proposal, identity, seed, threads, progress, step
+    )
     begin = time.perf_counter()
     tables = table_errors(ensemble, c, step)
     drag, unit = drag_of(ensemble, velocity), ensemble.thresholds.scale
@@ -211,7 +213,7 @@ def settled(
 
 
 def _self_consistent(
-    job: Job, stretch: float, response: Array | None, size: int
+    job: SteadyJob, stretch: float, response: Array | None, size: int
 ) -> tuple[Array, float, Array, int]:
     """Sums of each randomisation at its own fixed point of C, the mean fixed point, the
     response of the sums to C (measured unless it is known), and the lives this took."""

@@ -130,9 +130,7 @@ def run_elastic(
     Raises InputError.
     """
     ensemble, output = file.ensemble, file.output
-    _, expected = check_elastic(
-        ensemble, drive, output.points, output.seed, output.replicas, max_lives
-    )
+    _, expected = check_elastic(ensemble, drive, output, max_lives)
     progress(0, expected)
     found = elastic_trajectory(
         ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=threads,

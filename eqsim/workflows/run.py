@@ -366,15 +366,13 @@ def run(
         )
     rough = 5e-3 if ensemble.fluctuates else 1e-3
     with ExitStack() as stack:
-        expected = check_run(
-            ensemble, drive, output.points, output.seed, output.replicas, max_lives
-        )
+        expected = check_run(ensemble, drive, output, max_lives)
         if output.series and workers:
             raise InputError(
                 "output.series: every series is kept by threads; not with --workers or --dask"
             )
         if output.breaks and isinstance(drive, Drive):
-            check_breaks(ensemble, drive, output.seed, output.replicas)
+            check_breaks(ensemble, drive, output)
         pool = stack.enter_context(workers.fixed_pool()) if workers else None
         progress(0, expected)
         level = None
