@@ -355,12 +355,11 @@ def use(path):
     """What `eqsim info` and the beginning of `eqsim run` do with a run file."""
     file = load(path)
     ensemble, drive = file.ensemble, file.drive
-    out = file.output
     if endless(ensemble, drive):
         return file, ensemble, None
     for group in groups(ensemble, drive):
         assert isinstance(group.value, str) or not math.isnan(group.value), group
-    lives = check_run(ensemble, drive, out.points, out.seed, out.replicas, 1e10)
+    lives = check_run(ensemble, drive, file.output, 1e10)
     assert 0 < lives <= 1e10
     return file, ensemble, drive
 

@@ -21,7 +21,7 @@ Threads = int | tuple[Executor, int]
 _LEAST_BLOCK = 128  # contacts, at least, unless there are fewer
 # shares of blocks for each worker of an executor: few enough that tables and sums
 # travel seldom, and workers end together
-_SHARES = 4
+_SHARES_PER_WORKER = 4
 
 
 class Totals:
@@ -97,7 +97,7 @@ class Job(Protocol):
         """Mean force, pinned fraction and variance of the force at every instant."""
 
 
-class _Blocks(NamedTuple):
+class _Division(NamedTuple):
     """How contacts are divided: block i is those from edges[i] up to edges[i + 1],
     whole ensembles of `contacts` if there are replicas."""
 
@@ -106,14 +106,14 @@ class _Blocks(NamedTuple):
     replicas: int
 
     @classmethod
-    def of(cls, contacts: int, replicas: int, workers: int, alike: bool) -> "_Blocks":
+    def of(cls, contacts: int, replicas: int, workers: int, alike: bool) -> "_Division":
         """`alike`, a few for each worker, or ever smaller ones, so that those who take
         them in turn end together."""
         count = contacts * replicas
         if replicas > 1:
             return cls(range(0, count + 1, contacts), contacts, replicas)
         if alike:
-            shares = min(_SHARES * workers, -(-count // _LEAST_BLOCK))
+            shares = min(_SHARES_PER_WORKER * workers, -(-count // _LEAST_BLOCK))
             return cls([count * i // shares for i in range(shares + 1)], contacts, 1)
         edges, least = [0], min(_LEAST_BLOCK, -(-count // workers))
         while edges[-1] < count:
@@ -123,8 +123,8 @@ class _Blocks(NamedTuple):
         return cls(edges, contacts, 1)
 
 
-def _follow(
-    job: Job, blocks: _Blocks, which: Iterable[int], total: Totals | None = None
+def _follow_blocks(
+    job: Job, blocks: _Division, which: Iterable[int], total: Totals | None = None
 ) -> Totals:
     """Simulate some blocks, in a thread or in a worker of an executor."""
     if total is None:  # a worker sends back sums only
@@ -205,7 +205,7 @@ def simulate_all(
     they become free, or a few shares of them for each worker to an executor."""
     executor = threads[0] if isinstance(threads, tuple) else None
     threads = workers_of(threads)
-    blocks = _Blocks.of(count, replicas, threads, executor is not None)
+    blocks = _Division.of(count, replicas, threads, executor is not None)
     every = range(len(blocks.edges) - 1)
     totals = [job.totals(replicas) for _ in range(1 if executor else threads)]
     running: set[Future[Totals]] = set()
@@ -215,11 +215,13 @@ def simulate_all(
             if pool:
                 shared = iter(every)  # next() is atomic
                 for total in totals:
-                    running.add(pool.submit(_follow, job, blocks, shared, total))
+                    running.add(pool.submit(_follow_blocks, job, blocks, shared, total))
             elif executor:
-                shares = min(_SHARES * threads, len(every))
+                shares = min(_SHARES_PER_WORKER * threads, len(every))
                 for i in range(shares):
-                    running.add(executor.submit(_follow, job, blocks, every[i::shares]))
+                    running.add(
+                        executor.submit(_follow_blocks, job, blocks, every[i::shares])
+                    )
             while running:
                 done, running = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
                 if pool and pool.stop[0]:

@@ -13,7 +13,7 @@ from eqsim.engine.lanes import LANES, Lanes, Lives, idle_lanes
 from eqsim.engine.steady import settled
 from eqsim.engine.trajectory import check_run
 from eqsim.errors import InputError
-from eqsim.model.drive import Drive, require_drive
+from eqsim.model.drive import Drive, Output, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.streams import TRAJECTORY
 from eqsim.numerics.streams import key as key_of
@@ -97,7 +97,7 @@ def breaks(
     >>> bool(found.X[0] <= found.X[-1] <= 5.0)  # in the order of the displacement
     True
     """
-    expected = check_breaks(ensemble, drive, seed, replicas)
+    expected = check_breaks(ensemble, drive, Output(2, seed, replicas))
     c = contacts(ensemble, drive.velocity, settled(ensemble, drive, seed, threads))
     unit, count = ensemble.thresholds.scale, ensemble.count * replicas
     distance, key = drive.over(ensemble) / unit, key_of(seed, TRAJECTORY)
@@ -123,7 +123,7 @@ def breaks(
     return Breaks(replica, contact, t, X, stretch, travel, stiffness)
 
 
-def check_breaks(ensemble: Ensemble, drive: Drive, seed: int, replicas: int) -> float:
+def check_breaks(ensemble: Ensemble, drive: Drive, output: Output) -> float:
     """About how many breaks there are. Raises InputError if they cannot be listed."""
     require_drive(drive)
     if drive.start != "fresh":
@@ -135,7 +135,7 @@ def check_breaks(ensemble: Ensemble, drive: Drive, seed: int, replicas: int) -> 
             f'aging.rule = "{ensemble.aging.rule}": breaks are not listed of '
             "thresholds that fluctuate"
         )
-    expected = check_run(ensemble, drive, 2, seed, replicas, math.inf)
+    expected = check_run(ensemble, drive, output, math.inf)
     if expected > MOST_BREAKS:
         raise InputError(
             f"breaks: there are about {expected:.3g}; "

@@ -8,7 +8,7 @@ from eqsim.laws.newborn import Stretched, Unstressed, stretched
 from eqsim.laws.stiffness import Springs
 from eqsim.laws.threshold import Thresholds, for_kernels
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import Reduced, reduced
+from eqsim.model.reduced import reduced
 from eqsim.numerics.tables import Array
 
 
@@ -27,9 +27,12 @@ class Contacts(NamedTuple):
     newborn: Any  # `Unstressed` or `Stretched`
 
 
-def lower(s: Reduced) -> Contacts:
-    """Dimensionless numbers as kernel arguments. Raises InputError where there is no
-    table for them."""
+def contacts(
+    ensemble: Ensemble, velocity: float, mean_stretch: float | None = None
+) -> Contacts:
+    """An ensemble at `velocity` for kernels; `mean_stretch` as in `reduced`. Raises
+    InputError, also where there is no table for these numbers."""
+    s = reduced(ensemble, velocity, mean_stretch)
     barrier: Any = s.barrier
     if s.annealed:
         pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b)  # type: ignore[arg-type]
@@ -38,21 +41,13 @@ def lower(s: Reduced) -> Contacts:
     if s.newborn.active:
         born = stretched(s.newborn, s.law, not s.one_sided)
     return Contacts(
-        for_kernels(s.law),
-        s.springs,
-        barrier,
-        s.barrier.table(),
-        s.barrier.hazard_table(),
-        s.aging,
-        s.aging.table(s.springs),
-        s.delay.for_kernels(),
-        born,
+        thresholds=for_kernels(s.law),
+        springs=s.springs,
+        barrier=barrier,
+        barrier_table=s.barrier.table(),
+        hazard_table=s.barrier.hazard_table(),
+        aging=s.aging,
+        aging_table=s.aging.table(s.springs),
+        delay=s.delay.for_kernels(),
+        newborn=born,
     )
-
-
-def contacts(
-    ensemble: Ensemble, velocity: float, mean_stretch: float | None = None
-) -> Contacts:
-    """An ensemble at `velocity` for kernels; `mean_stretch` as in `reduced`. Raises
-    InputError."""
-    return lower(reduced(ensemble, velocity, mean_stretch))

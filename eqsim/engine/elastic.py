@@ -32,7 +32,7 @@ from eqsim.engine.records import ElasticTrajectory, by_replica
 from eqsim.engine.scatter import births, scatter
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate, drifts, ratio
-from eqsim.model.drive import Drive, check_output
+from eqsim.model.drive import Drive, Output
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.compiled import kernel, routine
@@ -48,12 +48,12 @@ _RELIABLE_FROM = 8  # batches or replicas whose scatter tells the error of their
 _BETWEEN_PAUSES = 1e6  # breaks between moments at which a signal may stop a run
 _MOST_RECORDS = 20_000_000  # of all blocks and replicas: some 1 GB of memory
 _MOST_AVALANCHES = 30_000_000  # of all replicas: some 2 GB of memory
-_ROUNDING = 6755399441055744.0  # 1.5 * 2^52, beside which only whole numbers are left
+_TO_WHOLE = 6755399441055744.0  # 1.5 * 2^52, beside which only whole numbers are left
 
 # Why contacts and drives are refused.
 _BACKWARDS = "a contact born with more stretch than the last would move its block back"
 _CHANGES = "the response of blocks to a break would change with every break"
-_UNKNOWN = "the stationary state of coupled blocks is not known"
+_NO_STEADY_STATE = "the stationary state of coupled blocks is not known"
 
 # The run so far, and the avalanche that goes on.
 _PROGRESS = np.dtype(
@@ -71,7 +71,7 @@ _PROGRESS = np.dtype(
 )
 
 # An avalanche.
-_AVALANCHE = np.dtype(
+_BLOCK_AVALANCHE = np.dtype(
     [
         ("level", np.float64),
         ("block", np.int64),  # where it began
@@ -82,7 +82,7 @@ _AVALANCHE = np.dtype(
 )
 
 # A block at an instant.
-_BLOCK = np.dtype(
+_BLOCK_STATE = np.dtype(
     [
         ("X", np.float64),
         ("force", np.float64),
@@ -121,12 +121,12 @@ class Response(NamedTuple):
 @routine(inline=True)
 def _rounded(x: float, unit: float) -> float:
     """Nearest multiple of a power of 2."""
-    big = unit * _ROUNDING
+    big = unit * _TO_WHOLE
     return (x + big) - big
 
 
 @kernel
-def prepare(laws: Contacts, key: Key, first: int, unit: float, b: Blocks) -> None:
+def pin_all(laws: Contacts, key: Key, first: int, unit: float, b: Blocks) -> None:
     """Pin all contacts, of which the first is number `first`, with all blocks at 0."""
     blocks, n = b.position.shape
     for j in range(blocks):
@@ -162,7 +162,7 @@ def _push(b: Blocks, r: Response, reached: Reached, force: float) -> None:
     for ones that count from the end, and loops vectorise. Four chains of minima do not
     wait for each other."""
     row, begin, end = reached.row, reached.begin, reached.end
-    big = r.unit * _ROUNDING
+    big = r.unit * _TO_WHOLE
     start, shift = np.uint64(begin), np.uint64(reached.offset + begin)
     for k in range(np.uint64(end - begin)):
         b.h[start + k] -= (r.G[row, shift + k] * force + big) - big
@@ -235,7 +235,7 @@ def _lowest(b: Blocks) -> int:
 
 
 @kernel
-def load(
+def raise_level(
     laws: Contacts,
     key: Key,
     first: int,
@@ -245,9 +245,10 @@ def load(
     until: float,
     events: Array,
 ) -> tuple[int, bool]:
-    """Raise the level to `until`, and note the avalanches that end (`_AVALANCHE`). The first
-    contact of all is number `first`; `state` (1,) is a `_PROGRESS`. Returns the number of
-    avalanches, and False if there are more than `events` has room for."""
+    """Raise the level to `until`, and note the avalanches that end. The first contact
+    of all is number `first`; `state` (1,) is a `_PROGRESS`, and `events` has
+    `_BLOCK_AVALANCHE`s. Returns the number of avalanches, and False if there are more
+    than `events` has room for."""
     now = state[0]
     rows = 0
     n = b.position.shape[1]
@@ -298,17 +299,12 @@ def load(
 
 
 def check_elastic(
-    ensemble: Ensemble,
-    drive: Drive,
-    points: int,
-    seed: int,
-    replicas: int,
-    max_lives: float,
+    ensemble: Ensemble, drive: Drive, output: Output, max_lives: float
 ) -> tuple[Elastic, float]:
     """Blocks of a run, and its predicted lives. Raises InputError if contacts are not
     those of the quasi-static model, or the run takes too many lives or too much
     memory."""
-    check_output(points, seed, replicas)
+    points, replicas = output.points, output.replicas
     elastic = drive.elastic
     if elastic is None:
         raise InputError("drive.elastic: is required, the blocks that the plate pulls")
@@ -324,7 +320,7 @@ def check_elastic(
         "newborn.law": (born.active, born.law, "unstressed", _BACKWARDS),
         "viscosity.eta": (eta > 0, eta, 0, "viscous force needs a velocity"),
         "contacts.stiffness_law": (springs != "uniform", springs, "uniform", _CHANGES),
-        "drive.start": (not fresh, drive.start, "fresh", _UNKNOWN),
+        "drive.start": (not fresh, drive.start, "fresh", _NO_STEADY_STATE),
     }
     for name, (wrong, value, allowed, why) in refused.items():
         if wrong:
@@ -360,12 +356,12 @@ class _Totals(NamedTuple):
     singles: Array
 
 
-class _Run(NamedTuple):
+class _Replica(NamedTuple):
     """Record of a replica."""
 
-    records: Array  # `_BLOCK`, shape (points, B)
+    records: Array  # `_BLOCK_STATE`, shape (points, B)
     totals: _Totals
-    avalanches: Array  # `_AVALANCHE`
+    avalanches: Array  # `_BLOCK_AVALANCHE`
     breaks: int
 
 
@@ -426,24 +422,26 @@ def _response_of(elastic: Elastic, distance: float) -> Response:
     return Response(G, reach, *elastic.shape, elastic.edges == "periodic", unit)
 
 
-def _simulate(interface: _Interface, replica: int, told: Callable[[int], None]) -> _Run:
+def _simulate(
+    interface: _Interface, replica: int, told: Callable[[int], None]
+) -> _Replica:
     """Follow a replica. `told` gets the number of breaks since, now and then."""
     laws, key, count, elastic, response, levels, edges, pauses = interface
     n = count // elastic.count
     first = replica * count
     b = _blocks_of(elastic, n)
-    prepare(laws, key, first, response.unit, b)
+    pin_all(laws, key, first, response.unit, b)
     state = np.zeros(1, _PROGRESS)
     now = state[0]
     records, totals, events = [], [], []
     for level in np.unique(np.concatenate((levels, edges, pauses))):
         before = int(now["breaks"])
         loaded = laws, key, first, b, response, state, level
-        events.append(events_of(_AVALANCHE, load, *loaded))
+        events.append(events_of(_BLOCK_AVALANCHE, raise_level, *loaded))
         told(int(now["breaks"]) - before)
         X = b.position[:, 0] - b.h[: elastic.count] + level
         if level in levels:
-            record = np.empty(X.size, _BLOCK)
+            record = np.empty(X.size, _BLOCK_STATE)
             record["X"] = X
             record["force"] = X - b.births / n
             record["variance"] = np.maximum(b.squares / n - (b.births / n) ** 2, 0.0)
@@ -455,7 +453,9 @@ def _simulate(interface: _Interface, replica: int, told: Callable[[int], None]) 
             counts = (now[name] for name in ("breaks", "avalanches", "singles"))
             totals.append((area, X.sum(), *counts))
     batches = _Totals(*np.reshape(totals, (-1, 5)).T)
-    return _Run(np.array(records), batches, np.concatenate(events), int(now["breaks"]))
+    return _Replica(
+        np.array(records), batches, np.concatenate(events), int(now["breaks"])
+    )
 
 
 def elastic_trajectory(
@@ -516,7 +516,8 @@ def elastic_trajectory(
     >>> int(found.avalanches["breaks"].sum()) + 200 == found.lives
     True
     """
-    elastic, _ = check_elastic(ensemble, drive, points, seed, replicas, max_lives)
+    output = Output(points, seed, replicas)
+    elastic, _ = check_elastic(ensemble, drive, output, max_lives)
     unit, count = ensemble.thresholds.scale, ensemble.count
     interface = _Interface.of(ensemble, drive, elastic, points, seed)
     none, levels = np.empty(0), interface.levels[:1]
@@ -573,7 +574,7 @@ def _all(
     replicas: int,
     threads: int,
     progress: Callable[[int], None] | None,
-) -> list[_Run]:
+) -> list[_Replica]:
     """Hand replicas to threads as these become free."""
     lives = interface.contacts * replicas
 
@@ -585,14 +586,16 @@ def _all(
         if progress:
             progress(lives)
 
-    def simulated(replica: int) -> _Run:
+    def simulated(replica: int) -> _Replica:
         return _simulate(interface, replica, told)
 
     with ThreadPool(max(1, threads)) as pool:
         return list(pool.map(simulated, range(replicas)))
 
 
-def _estimates(runs: list[_Run], unit: float) -> tuple[Estimate, Estimate, Estimate]:
+def _estimates(
+    runs: list[_Replica], unit: float
+) -> tuple[Estimate, Estimate, Estimate]:
     """Estimate friction (length), breaks per avalanche, fraction of single breaks."""
     batches = _Totals(*np.diff(np.stack([run.totals for run in runs], axis=1), axis=2))
     half = batches.X.shape[1] // 2
@@ -639,7 +642,7 @@ def _avalanches(
 
 
 def _of_blocks(records: Array, t: Array, D: Array, unit: float) -> dict[str, Array]:
-    """Records of all blocks of a replica, (points, B), by column in the user's units."""
+    """Records of the blocks of a replica, (points, B), by column in the user's units."""
     points, blocks = records.shape
     return {
         "t": np.repeat(t, blocks),

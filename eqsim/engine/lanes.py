@@ -273,7 +273,7 @@ def _walk_lives(law: Langevin, c: Contacts, lives: Lives, r: int, count: int) ->
     carried, work = lives.travel[r], lives.work[r]
     begun = lanes.contact, number, threshold, lives.clock[r]
     paths, walkers = langevin.Paths(*begun, carried, work), lives.followed.walkers
-    langevin.walk_all(langevin.pinned(c), lanes.key, langevin.STEP, paths, walkers)
+    langevin.walk_all(langevin.pinned(c, 1.0), lanes.key, langevin.STEP, paths, walkers)
 
 
 @by_law

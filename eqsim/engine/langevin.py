@@ -53,9 +53,9 @@ from eqsim.numerics.vector_math import exp, exp_less_one, log
 STEP = 0.35  # the default accuracy of steps
 STEP_ERROR = 1e-3  # what they may cost then, relative; falls as the square of STEP
 WALKERS = 64  # paths that advance side by side
-# heat counts where the hazard from here to the threshold is above exp(-7)
+# heat counts where the hazard_of_step from here to the threshold is above exp(-7)
 _MOST_QUIET = 7.0
-_SCATTERS = 0.03  # hazard of a step from which on its scatter counts
+_SCATTERS = 0.03  # hazard_of_step of a step from which on its scatter counts
 # ln of a factor on the chance to touch, up to which first order will do
 _FIRST_ORDER = 0.05
 _MISSED_ORDERS = 0.4  # and a bound on what it misses beyond
@@ -133,9 +133,9 @@ def variance_rate(law: Langevin) -> float:
 
 
 @routine(inline=True)
-def pinned(c: Contacts) -> Pinned:
-    """The laws of steps at constant velocity."""
-    return Pinned(c.barrier, c.springs, c.aging, 1.0)
+def pinned(c: Contacts, moves: float) -> Pinned:
+    """The laws of steps."""
+    return Pinned(c.barrier, c.springs, c.aging, moves)
 
 
 # ---- the physics of a step ----
@@ -195,7 +195,7 @@ def pace(
     barrier, rate = height(c.barrier, xi, x, a), heat(c, xi, x)
     slope = height_slope(c.barrier, xi, x, a) + barrier * c.springs.slope / k0
     while_here = gap if c.moves > 0.0 else max(gap, most)
-    # -ln of the hazard over as much as the gap
+    # -ln of the hazard_of_step over as much as the gap
     quiet = max(barrier - c.barrier.log_w - log(while_here), 0.0)
     slight = step * (1.0 + 0.5 * quiet)
     far = reaches(max(quiet - _MOST_QUIET, 0.0) / slope, sigma / step, speed)
@@ -291,7 +291,7 @@ def work_of(
 
 
 @routine(inline=True)
-def hazard(h: float, rate: float, between: float, last: float) -> float:
+def hazard_of_step(h: float, rate: float, between: float, last: float) -> float:
     """Hazard of a step, by Simpson's rule."""
     return h * (rate + 4.0 * between + last) / 6.0
 
@@ -325,10 +325,10 @@ def burn(
     c: Pinned, path: Path, h: float, end: float, rates: Rates
 ) -> tuple[Any, Any, Any, Any, Any]:
     """Whether heat breaks a contact in a step, which ends there, the length of the
-    step, the threshold at its end, the hazard spent and the next draw."""
+    step, the threshold at its end, the hazard_of_step spent and the next draw."""
     rate, between, last, slope = rates
     draw, xi, left = path.draw, path.xi, path.left
-    spent, scatter = hazard(h, rate, between, last), 0.0
+    spent, scatter = hazard_of_step(h, rate, between, last), 0.0
     # the average over bridges has a spread of its own, which keeps some contacts pinned
     if spent > _SCATTERS:
         a, b, _, _ = midpoints(path.key, path.contact, path.life, draw)
@@ -361,7 +361,7 @@ def conclude(
 ) -> tuple[Any, Any, Any, Any, Any]:
     """The end of a step in which the threshold has met the stretch, unless that is not
     `confirmed`, or that heat may end: whether the contact breaks, how long the step is,
-    the threshold at its end, the hazard spent and the next draw."""
+    the threshold at its end, the hazard_of_step spent and the next draw."""
     broke = met and confirmed(c, path.xi, path.x, h, end, passage)
     draw, spent = path.draw, 0.0
     if broke:
@@ -580,7 +580,7 @@ def walk_all(c: Pinned, key: Key, step: float, paths: Paths, w: Walkers) -> None
                 middle = halfway(c, xi[i], along[i], end[i], lost[i])
                 between[i], last[i] = heats(c, middle, x[i], h[i], end[i])
             for i in range(lanes):
-                spent[i] = hazard(h[i], rate[i], between[i], last[i])
+                spent[i] = hazard_of_step(h[i], rate[i], between[i], last[i])
 
         count = 0
         for i in range(lanes):

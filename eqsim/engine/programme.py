@@ -24,7 +24,7 @@ from eqsim.errors import InputError, require_number, under
 from eqsim.laws.aging.langevin import MOST_ALPHA
 from eqsim.laws.newborn import Stretched
 from eqsim.model import reduced
-from eqsim.model.drive import Grid, Programme
+from eqsim.model.drive import Grid, Output, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY, Key
@@ -235,17 +235,15 @@ def cycles(ensemble: Ensemble, programme: Programme) -> list[float]:
 def along(
     ensemble: Ensemble,
     programme: Programme,
-    points: int,
-    seed: int,
-    replicas: int,
+    output: Output,
     threads: Threads,
     progress: Progress | None,
 ) -> ProgrammeTrajectory:
     """Simulate `trajectory.trajectory` of a programme."""
-    grid, unit = programme.grid(points), ensemble.thresholds.scale
-    count, delayed = ensemble.count * replicas, ensemble.delay.time > 0
-    job = steps_of(ensemble, programme, grid, replicas, seed)
-    done = simulated(job, ensemble.count, replicas, threads, progress)
+    grid, unit = programme.grid(output.points), ensemble.thresholds.scale
+    count, delayed = ensemble.count * output.replicas, ensemble.delay.time > 0
+    job = steps_of(ensemble, programme, grid, output.replicas, output.seed)
+    done = simulated(job, ensemble.count, output.replicas, threads, progress)
     found = done.moments
     variance, reliable = _variance(ensemble, programme, grid, found, count)
     bias = step_bias(job.steps)
@@ -264,7 +262,7 @@ def along(
         force_stderr=stderr,
         force_reliable=reliable,
         pinned_stderr=pinned_stderr,
-        seed=seed,
+        seed=output.seed,
         segment=grid.segment,
         segments=shown_by(programme, grid, force, stderr, reliable),
         **done.columns(unit),

@@ -33,7 +33,7 @@ _LIVES_AT_A_TIME = 2**15
 _BEGUN = 8  # Sobol sequences that begin at a time, at least
 
 
-class Job(NamedTuple):
+class SteadyJob(NamedTuple):
     """What does not change while a steady estimate is refined."""
 
     ensemble: Ensemble
@@ -46,7 +46,7 @@ class Job(NamedTuple):
     step: float  # accuracy of the steps of `langevin` thresholds
 
 
-def randomise(job: Job, c: Contacts, size: int) -> Array:
+def randomise(job: SteadyJob, c: Contacts, size: int) -> Array:
     """Per randomisation: mean elastic work per k, travel, square of the force added up
     over the travel and stretch at birth; the largest single share of the first two, and
     of the third, shape (RANDOMISATIONS, 6)."""
@@ -146,7 +146,7 @@ def _note_lives(
 
 
 def _sequences(
-    job: Job, dimensions: int, size: int, groups: list[range]
+    job: SteadyJob, dimensions: int, size: int, groups: list[range]
 ) -> Iterator[Sobol]:
     """Those of each group of randomisations, of `size` points each. They begin a few at
     a time, which takes less time than one by one; threads are at work on the first

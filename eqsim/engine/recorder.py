@@ -31,11 +31,11 @@ BATCHES = 64  # independent groups of contacts, whose scatter tells errors of av
 _LEAST_FORCE = 2.0**10
 # Mean work of a life in its units. Laws so broad that it matters scatter far more.
 _LEAST_WORK = 2.0**5
-_BITS = 62  # of a sum; the sign and one more are left
-_UNITS = 0x4330000000000000  # bits of 2^52
-_SHIFTED = 0x4338000000000000  # bits of 1.5 2^52
+_SUM_BITS = 62  # of a sum; the sign and one more are left
+_BITS_OF_2_52 = 0x4330000000000000  # bits of 2^52
+_BITS_OF_SHIFT = 0x4338000000000000  # bits of 1.5 2^52
 # So many contacts leave numbers up to 2^51 each, where sums are up to 2^62.
-_NARROW_FROM = 2 ** (_BITS - 51)
+_NARROW_FROM = 2 ** (_SUM_BITS - 51)
 
 
 class Deposit(NamedTuple):
@@ -152,7 +152,9 @@ class Scales(NamedTuple):
         force = strong * x
 
         def power(bounds: list[float], terms: int) -> list[float]:
-            return (2.0 ** np.floor(_BITS - np.log2(terms) - np.log2(bounds))).tolist()
+            return (
+                2.0 ** np.floor(_SUM_BITS - np.log2(terms) - np.log2(bounds))
+            ).tolist()
 
         ramp, square = strong * reach, (strong * reach) ** 2
         bounds = [1.0, ramp, square, strong, strong**2, strong**2 * reach]
@@ -344,7 +346,7 @@ def fixed_narrow(x: float, scale: float, narrow: bool) -> Any:
     of their sum with 1.5 2^52. Few processors convert more than one number at a
     time."""
     if narrow:
-        return np.float64(x * scale + 1.5 * 2.0**52).view(np.int64) - _SHIFTED
+        return np.float64(x * scale + 1.5 * 2.0**52).view(np.int64) - _BITS_OF_SHIFT
     return int(np.rint(x * scale))
 
 
@@ -447,7 +449,7 @@ def find_points(run: Run, x: Array, points: Array, count: int) -> None:
     per_step = (run.points - 1) / run.length
     for i in range(count):
         at = np.ceil(min(x[i] * per_step, float(run.points))) + 2.0**52
-        points[i] = np.float64(at).view(np.int64) - _UNITS
+        points[i] = np.float64(at).view(np.int64) - _BITS_OF_2_52
 
 
 @routine(inline=True)

@@ -17,7 +17,7 @@ from eqsim.results import Drawn, Result
 
 
 @dataclass(frozen=True, repr=False)
-class Course(Result):
+class ForceRecord(Result):
     """Force of an interface while it is pulled.
 
     Attributes
@@ -58,10 +58,10 @@ class Course(Result):
 
 
 @dataclass(frozen=True, repr=False)
-class Record(Course):
+class Record(ForceRecord):
     """An ensemble's force along a drive.
 
-    Attributes are those of `Course`, and
+    Attributes are those of `ForceRecord`, and
 
     Attributes
     ----------
@@ -307,11 +307,11 @@ class SliderTrajectory(ProgrammeTrajectory):
 
 
 @dataclass(frozen=True, repr=False)
-class ElasticTrajectory(Course):
+class ElasticTrajectory(ForceRecord):
     """Motion of coupled blocks while the plate moves, in the mean over blocks and
     replicas.
 
-    Attributes are those of `Course`, with X the mean displacement of the blocks, and
+    Attributes are those of `ForceRecord`, X being the mean over blocks, and
 
     Attributes
     ----------

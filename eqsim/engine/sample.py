@@ -167,5 +167,5 @@ def fill_paths(
     for i in range(u.size):
         paths.threshold[i] = threshold_draw(c.thresholds, u[i])
         paths.clock[i] = -log(v[i])
-    laws = langevin.pinned(c)
+    laws = langevin.pinned(c, 1.0)
     langevin.walk_all(laws, source.key, source.step, paths, walkers)

@@ -31,11 +31,13 @@ from eqsim.engine.sample import spread, unnamed_lives
 from eqsim.numerics.tables import Array
 
 _LATTICE = 1024  # cells
-_FINE = 32  # cells of the finer lattice in a life, as a snapshot finds it in the mean
-_POWERS = 7  # of forces: 0 to 6
-_RANGE = -16.0, 45.0
+_CELLS_IN_A_LIFE = (
+    32  # cells of the finer lattice in a life, as a snapshot finds it in the mean
+)
+_FORCE_POWERS = 7  # of forces: 0 to 6
+_LOG_RANKS = -16.0, 45.0
 _PATHS = 2**12  # of thresholds that fluctuate
-_TOLERANCE = 0.05  # of the law's variance: lattice, lives
+_LAW_TOLERANCE = 0.05  # of the law's variance: lattice, lives
 # probability of more than five standard errors of a force that can be trusted
 RARE = 1e-4
 ENOUGH = 100  # lives that make the variance, for their mean over its error to be normal
@@ -56,19 +58,19 @@ def births(c: Contacts) -> Births:
     up to 45: beyond, contacts are too rare to matter. The clocks of different
     thresholds lie between each other."""
     if c.aging.fluctuates:  # a path for each threshold
-        u, share = _uniforms(np.linspace(*_RANGE, _PATHS))
+        u, share = _uniforms(np.linspace(*_LOG_RANKS, _PATHS))
         v = spread(_PATHS)
     else:
         # lives that age take long
         rows, clocks = (500, 70) if c.aging.closed else (150, 30)
-        u, share = _uniforms(np.linspace(*_RANGE, rows))
+        u, share = _uniforms(np.linspace(*_LOG_RANKS, rows))
         steps = c.thresholds.steps.size
         if 0 < steps <= rows:
             rows = steps * math.ceil(rows / steps)
             u, share = (np.arange(rows) + 0.5) / rows, np.full(rows, 1.0 / rows)
         v = np.ones(rows)
         if c.barrier.thermal:
-            s, spacing = np.linspace(*_RANGE, clocks, retstep=True)
+            s, spacing = np.linspace(*_LOG_RANKS, clocks, retstep=True)
             v, clock_share = _uniforms(s + spacing * (spread(rows)[:, None] - 0.5))
             u, v = np.repeat(u, clocks), v.ravel()
             share = (share[:, None] * clock_share).ravel()
@@ -116,7 +118,7 @@ def scatter(c: Contacts, born: Births, distance: float | None, drag: float) -> S
     else:
         time = np.sum(born.share * born.travel)
         size = float(np.sum(born.share * born.travel**2) / time)
-        X, moments = _fresh(c, born, min(size / _FINE, distance / _LATTICE))
+        X, moments = _fresh(c, born, min(size / _CELLS_IN_A_LIFE, distance / _LATTICE))
         if X[-1] < distance:
             further, later = _fresh(c, born, distance / _LATTICE)
             beyond = further > X[-1]
@@ -152,7 +154,7 @@ def _stationary(c: Contacts, born: Births) -> Array:
     reached = born.birth + born.travel
     ends, begins, moments = born.share * reached, born.share * born.birth, []
     with np.errstate(over="ignore", invalid="ignore"):
-        for p in range(_POWERS):
+        for p in range(_FORCE_POWERS):
             moments.append(np.sum(ends - begins) / ((p + 1) * cycle))
             ends *= born.stiffness * reached
             begins *= born.stiffness * born.birth
@@ -185,7 +187,7 @@ def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
     rest = c.delay.law.rest(edges)
     waits = np.append(1.0 + (rest[1] - rest[0]) / step, np.diff(rest, 2) / step)
     density = _births_after(np.convolve(ends, waits)[:n])
-    moments = np.zeros((_POWERS, n + 1))
+    moments = np.zeros((_FORCE_POWERS, n + 1))
     moments[0, 0] = 1.0
     stretched = born.birth.any()
     with np.errstate(over="ignore", invalid="ignore"):
@@ -232,7 +234,7 @@ def known_variance(
     """
     with np.errstate(all="ignore"):
         doubt = law.fourth / law.variance / contacts
-        noise = 1.0 + _TOLERANCE**2 * law.variance / doubt + contacts / law.lives
+        noise = 1.0 + _LAW_TOLERANCE**2 * law.variance / doubt + contacts / law.lives
         share = np.nan_to_num(1.0 / noise)
         size: Array | float = math.inf
         if law.lives == math.inf:

@@ -179,7 +179,7 @@ def _path_at_start(
         age = (start.longest + delay) * uniforms(key, contact, 0, 2 * attempt + 2)[0]
         xi, number = threshold_draw(c.thresholds, rank), 2**32 - 1 - attempt
         path = Path(key, contact, number, np.int64(0), xi, 0.0, -math.log(tick))
-        ends, _ = leave_path(langevin.pinned(c), recorder, batch, path, -age)
+        ends, _ = leave_path(langevin.pinned(c, 1.0), recorder, batch, path, -age)
         if ends + delay > 0.0:
             born, broke, reborn = -age, ends, ends + delay_of_the_first(c, key, contact)
             if ends <= 0.0:
@@ -237,16 +237,12 @@ def _path_goes_on(
 ) -> float:
     run, contact, y = recorder.run, p.first + i, recorder.run.sign * p.stretch[i]
     path = Path(key, contact, p.life[i], p.draw[i], p.threshold[i], y, p.clock[i])
-    broke, path = leave_path(_pinned_along(law, c, run), recorder, 0, path, 0.0)
+    broke, path = leave_path(
+        langevin.pinned(c, float(run.moves)), recorder, 0, path, 0.0
+    )
     if broke == math.inf:
         keep_path(p, run, path)
     return broke
-
-
-@routine(inline=True)
-def _pinned_along(law: Langevin, c: Contacts, run: Run) -> Pinned:
-    """Laws of contacts whose thresholds fluctuate along a segment."""
-    return Pinned(c.barrier, c.springs, law, float(run.moves))
 
 
 # ---- what lives leave there ----
@@ -400,7 +396,7 @@ def leave_life(
 def _leave_drawn_path(
     law: Any, c: Contacts, recorder: Recorder, life: Path, born: float, travel: float
 ) -> tuple[float, float]:
-    run, laws = recorder.run, _pinned_along(law, c, recorder.run)
+    run, laws = recorder.run, langevin.pinned(c, float(recorder.run.moves))
     broke, path = leave_path(laws, recorder, batch_of(run, life), life, born)
     if broke == math.inf:
         keep_path(recorder.start, run, path)
@@ -668,7 +664,7 @@ def _path_at_rest(
 ) -> float:
     if not thermal(c.barrier):
         return math.inf
-    laws = Pinned(c.barrier, c.springs, c.aging, 0.0)
+    laws = langevin.pinned(c, 0.0)
     key, first = Key(np.uint64(0), np.uint64(0)), np.int64(0)
     path = Path(key, i, first, first, contact.threshold, 0.0, clock)
     longest = min(_RELAXED / law.alpha, most)

@@ -56,7 +56,7 @@ _MEMORY = 30.0  # breaks over which rho and r are averaged
 _FIRST_STEP = 1e-6  # as a share of the first segment
 _HALVINGS = 30  # of a step, until a slider without damping and mass slips at an instant
 _SHORTEST_STEP = 1e-200  # of a slider that damping or a mass limits
-_INSTANT = 1e-40  # duration over displacement of a slip that heat and age do nothing in
+_SLIP_DURATION = 1e-40  # over its displacement, so short that no contact ages
 _NOISE = 2.0  # standard errors of breaks in a step, which no shorter step would reduce
 _AT_THRESHOLD = 1.0 - 1e-9  # share of a threshold from which on breaks are by motion
 
@@ -113,12 +113,12 @@ def advance(
         begin = block * _BLOCK
         for i in range(begin, min(begin + _BLOCK, population.size)):
             contact = population[i]
-            _follow(laws, piece, key, first + i, contact, sums[block])
+            _follow_contact(laws, piece, key, first + i, contact, sums[block])
             _add(laws, contact, sums[block])
 
 
 @routine(inline=True)
-def _follow(
+def _follow_contact(
     laws: Contacts, piece: Piece, key: Key, number: int, contact: Any, sums: Any
 ) -> None:
     """Follow contact `number` along a piece."""
@@ -501,8 +501,8 @@ class Slider:
         if elastic > 0.0:
             size = min(size, max(abs(net) / elastic, 1e-6 * size))
         dX = math.copysign(size, net)
-        dt = _INSTANT * size
-        sums = self._follow(Piece(dt, 1.0 / _INSTANT, math.copysign(1.0, net)))
+        dt = _SLIP_DURATION * size
+        sums = self._follow(Piece(dt, 1.0 / _SLIP_DURATION, math.copysign(1.0, net)))
         work = sums.stored - now.sums.stored + sums.lost
         self._account(dt, dX, 0.0, 0.0, sums, work / dX)
         self.behind = Behind()

@@ -19,7 +19,7 @@ from eqsim.engine.records import SliderTrajectory, Slip, by_replica, shown_by, s
 from eqsim.engine.scatter import pinned_variance
 from eqsim.engine.slider import Slider
 from eqsim.laws.stiffness import kappa
-from eqsim.model.drive import Grid, Programme
+from eqsim.model.drive import Grid, Output, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import pull_of
 from eqsim.numerics.tables import Array
@@ -32,14 +32,14 @@ _TOLD_AFTER_LIVES = 1000.0  # in a step, when progress is told at once
 _SLIP_NOISE = 6.0  # standard deviations of the force above which a fall of it is a slip
 
 # A slider at an instant of the grid; forces and energies are per contact. `friction` is
-# the force of all contacts, `variance` that of it if they were independent, `stored` the
-# energy beyond that at first, and `behind` the error of X as the last steps missed F.
+# the force of all contacts, `variance` its variance if they were independent, `stored`
+# the energy beyond that at first, and `behind` the error of X since steps missed F.
 _MOTION = ("X", "stage", "friction", "pinned", "variance")
 _ENERGIES = ("work", "stored", "dissipated", "missed")
 _COURSE = np.dtype([(name, float) for name in (*_MOTION, *_ENERGIES, "behind")])
 
 
-class _Run(NamedTuple):
+class _PulledRun(NamedTuple):
     """Record of a replica; avalanches by column if they were followed."""
 
     course: Array  # `_COURSE`
@@ -64,7 +64,7 @@ def _note(slider: Slider, row: np.void) -> None:
     row["behind"] = slider.behind.distance
 
 
-def _in_steps(slider: Slider, instants: Array, told: Progress) -> _Run:
+def _in_steps(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
     """Pull a slider through its programme step by step; `told` gets lives so far."""
     course = np.zeros(instants.size, _COURSE)
     _note(slider, course[0])
@@ -85,7 +85,7 @@ def _in_steps(slider: Slider, instants: Array, told: Progress) -> _Run:
             row += 1
     course["stored"] -= course["stored"][0]
     t, X, Y = np.array([(now.time, now.X, now.Y) for now in states]).T
-    return _Run(course, _slips(slider, course, t, X, Y), round(lives))
+    return _PulledRun(course, _slips(slider, course, t, X, Y), round(lives))
 
 
 def _slips(slider: Slider, course: Array, t: Array, X: Array, Y: Array) -> list[Slip]:
@@ -97,7 +97,7 @@ def _slips(slider: Slider, course: Array, t: Array, X: Array, Y: Array) -> list[
     return slips_of(t, X, pull.stiffness * (Y - X), least, fastest)
 
 
-def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _Run:
+def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
     """`_in_steps` of a slider that is quasi-static."""
     pull, start = slider.pull, slider.state
     loaded = np.diff(pull.ends, prepend=0.0) * pull.speeds
@@ -139,7 +139,7 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _Run:
     slips = _slips(slider, course, *twice) if events.size else []
     columns = {name: events[name] for name in ("X", "breaks", "drop", "distance")}
     lives = slider.count + int(now["breaks"])
-    return _Run(course, slips, lives, {"t": t, **columns})
+    return _PulledRun(course, slips, lives, {"t": t, **columns})
 
 
 def coarse_instants(segment: Array) -> Array:
@@ -172,7 +172,9 @@ def step_error(fine: Array, coarse: Array, recorded: Array) -> Array:
     return np.asarray(bound)
 
 
-def _slips_in_units(runs: list[_Run], per_time: float, unit: float) -> tuple[Slip, ...]:
+def _slips_in_units(
+    runs: list[_PulledRun], per_time: float, unit: float
+) -> tuple[Slip, ...]:
     """Slips of all replicas in the user's units."""
     return tuple(
         replace(
@@ -187,7 +189,7 @@ def _slips_in_units(runs: list[_Run], per_time: float, unit: float) -> tuple[Sli
 
 
 def _avalanches_in_units(
-    runs: list[_Run], per_time: float, unit: float
+    runs: list[_PulledRun], per_time: float, unit: float
 ) -> dict[str, Array] | None:
     """Avalanches of all replicas by column, in the user's units."""
     found = [run.avalanches for run in runs if run.avalanches is not None]
@@ -203,22 +205,20 @@ def _avalanches_in_units(
 def pulled(
     ensemble: Ensemble,
     programme: Programme,
-    points: int,
-    seed: int,
-    replicas: int,
+    output: Output,
     threads: Threads,
     progress: Progress | None,
 ) -> SliderTrajectory:
     """Simulate `trajectory.trajectory` of a slider that a stage pulls."""
-    grid = programme.grid(points)
+    grid, replicas, seed = programme.grid(output.points), output.replicas, output.seed
     unit = ensemble.thresholds.scale
     pull = pull_of(ensemble, programme)
     per_time = pull.pace / unit
     instants = grid.t * per_time
     recorded = coarse_instants(grid.segment)
     workers = 1 if isinstance(threads, tuple) else workers_of(threads)
-    runs: list[_Run] = []
-    coarse: list[_Run] = []
+    runs: list[_PulledRun] = []
+    coarse: list[_PulledRun] = []
     begin, lives = 0.0, 0
 
     def told(more: int) -> None:

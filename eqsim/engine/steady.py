@@ -32,7 +32,7 @@ from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.errorbars import Unseen, hidden_errors, table_errors
 from eqsim.engine.langevin import STEP, step_error
 from eqsim.engine.proposal import FEWEST_LIVES, RANDOMISATIONS, proposal_of
-from eqsim.engine.randomise import Job, randomise
+from eqsim.engine.randomise import SteadyJob, randomise
 from eqsim.engine.sample import rough_stretch
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate, infinite, known
@@ -45,16 +45,16 @@ from eqsim.numerics.tables import Array
 
 # relative error asked for, from which on half as many lives will do at first: errors
 # are then a hundredth of what is asked
-_COARSE = 1e-2
+_COARSE_ERROR = 1e-2
 # error ~ lives^-decay, assumed when lives are predicted: between Monte Carlo and smooth
 # integrands
 _DECAY = 0.75
 # relative change of C that shows how births respond to it; the fixed point is
 # linearised within its square
 _NUDGE = 1e-2
-_SETTLED = 3e-5  # relative error of the C that a trajectory's births are given
+_SETTLED_ERROR = 3e-5  # relative error of the C that a trajectory's births are given
 # a single life that makes up more of a sum than this has siblings that were not seen
-_DOMINANT = 0.02
+_DOMINANT_SHARE = 0.02
 # a variance with a greater relative error has them, too: squares have heavier tails
 # than the force
 _BROAD = 0.05
@@ -155,14 +155,16 @@ def steady(
     step = STEP
     if c.aging.fluctuates and proposal:
         step *= min(1.0, math.sqrt(rel_error / (3.0 * step_error(c.aging))))
-    job = Job(ensemble, velocity, proposal, identity, seed, threads, progress, step)
+    job = SteadyJob(
+        ensemble, velocity, proposal, identity, seed, threads, progress, step
+    )
     begin = time.perf_counter()
     tables = table_errors(ensemble, c, step)
     drag, unit = drag_of(ensemble, velocity), ensemble.thresholds.scale
     response: Array | None = None
     size, done = FEWEST_LIVES, 0
     # plain lives and random paths have larger errors
-    if proposal and rel_error >= _COARSE and not c.aging.fluctuates:
+    if proposal and rel_error >= _COARSE_ERROR and not c.aging.fluctuates:
         size //= 2
     while True:
         count = RANDOMISATIONS * size
@@ -205,12 +207,14 @@ def settled(
     by a steady estimate; None for all others."""
     if not ensemble.self_consistent:
         return None
-    found = steady(ensemble, drive, rel_error=_SETTLED, seed=seed, threads=threads)
+    found = steady(
+        ensemble, drive, rel_error=_SETTLED_ERROR, seed=seed, threads=threads
+    )
     return known(found.break_stretch)
 
 
 def _self_consistent(
-    job: Job, stretch: float, response: Array | None, size: int
+    job: SteadyJob, stretch: float, response: Array | None, size: int
 ) -> tuple[Array, float, Array, int]:
     """Sums of each randomisation at its own fixed point of C, the mean fixed point, the
     response of the sums to C (measured unless it is known), and the lives this took."""
@@ -262,7 +266,7 @@ def _averages(
 ) -> tuple[Estimate, ...]:
     """Delta-method estimates from the randomisations, in the order of `OBSERVABLES`;
     `drag` is eta v/k and `unit` that of length."""
-    reliable = covered and float(sums[:, 4].max()) < _DOMINANT
+    reliable = covered and float(sums[:, 4].max()) < _DOMINANT_SHARE
     n, delay, hidden = RANDOMISATIONS * size, c.delay.mean, unseen.means
     work, travel, square, birth = sums[:, :4].T
     cycle = travel + delay
@@ -289,7 +293,7 @@ def _averages(
     finite = math.isfinite(value) and math.isfinite(stderr)
     if stiffness_varies(c.aging, c.springs) or not finite:
         variance = Estimate(None, None, n)
-    elif stderr > _BROAD * abs(value) or largest >= _DOMINANT:
+    elif stderr > _BROAD * abs(value) or largest >= _DOMINANT_SHARE:
         variance = replace(variance, reliable=False)
     # births along the motion and against it cancel; <|f|>^2 <= pinned <f^2>
     force = max(abs(friction), math.sqrt(second * pinned) if birth.any() else 0.0)

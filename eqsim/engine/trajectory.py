@@ -25,7 +25,7 @@ from eqsim.engine.stationary import Fresh, stationary
 from eqsim.engine.steady import settled
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate
-from eqsim.model.drive import Drive, Programme, check_output, require_drive
+from eqsim.model.drive import Drive, Output, Programme, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY
@@ -54,23 +54,17 @@ def predicted_lives(
 
 
 def check_run(
-    ensemble: Ensemble,
-    drive: Drive | Programme,
-    points: int,
-    seed: int,
-    replicas: int,
-    max_lives: float,
+    ensemble: Ensemble, drive: Drive | Programme, output: Output, max_lives: float
 ) -> float:
     """The predicted lives of a run. Raises InputError if it cannot be done, or takes
     more than `max_lives` lives."""
-    check_output(points, seed, replicas)
     if isinstance(drive, Programme):
         programme.check_programme(ensemble, drive)
     else:
         require_drive(drive)
         distance = drive.over(ensemble) / ensemble.thresholds.scale
         require_number("distance / threshold", distance, least=1e-100, most=1e100)
-    expected = predicted_lives(ensemble, drive, replicas)
+    expected = predicted_lives(ensemble, drive, output.replicas)
     require_lives(expected, max_lives)
     return expected
 
@@ -165,14 +159,13 @@ def trajectory(
     >>> print(f"{run.friction.value:.1f}")  # over the second half
     0.9
     """
-    expected = check_run(ensemble, drive, points, seed, replicas, max_lives)
+    output = Output(points, seed, replicas)
+    expected = check_run(ensemble, drive, output, max_lives)
     progress = guarded(progress, expected, max_lives)
     if isinstance(drive, Programme) and drive.stage:
-        return pulled(ensemble, drive, points, seed, replicas, threads, progress)
+        return pulled(ensemble, drive, output, threads, progress)
     if isinstance(drive, Programme):
-        return programme.along(
-            ensemble, drive, points, seed, replicas, threads, progress
-        )
+        return programme.along(ensemble, drive, output, threads, progress)
     workers = workers_of(threads)
     mean_stretch = settled(ensemble, drive, seed, workers)
     c = contacts(ensemble, drive.velocity, mean_stretch)

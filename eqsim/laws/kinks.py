@@ -7,9 +7,9 @@ import numpy as np
 
 from eqsim.numerics.tables import Array
 
-# Windows are cut to a quarter of their width, LEVELS times to judge them and SHARPER
-# times more to locate kinks.
-LEVELS = 7
+# Windows are cut to a quarter of their width, JUDGED_LEVELS times to judge them and
+# SHARPER times more to locate kinks.
+JUDGED_LEVELS = 7
 SHARPER = 17
 # A second difference falls by 4 per level at a kink and by 16 where the density is
 # smooth, so that over the last three levels it falls by 64 or by 4096. The border is
@@ -20,7 +20,7 @@ NOISE = 1e-11
 LARGEST = 1e100  # density in the place of an infinite one
 # kinks that are kept, those of the largest second differences: a density with noise has
 # them everywhere
-MOST = 64
+MOST_KINKS = 64
 APART = 1e-9  # relative distance of kinks that are the same
 
 
@@ -55,12 +55,12 @@ def density_kinks(pdf: Callable[[Array], Array], x: Array) -> Array:
     left = x[:-2]
     width = x[2:] - left
     falls = []
-    for _ in range(LEVELS):
+    for _ in range(JUDGED_LEVELS):
         left, second = sharpest(left, width)
         width = width / 4.0
         falls.append(second)
     kink = np.flatnonzero((falls[-1] > FALLS * falls[-4]) & (falls[-1] > NOISE))
-    kink = np.sort(kink[np.argsort(-falls[-1][kink], kind="stable")[:MOST]])
+    kink = np.sort(kink[np.argsort(-falls[-1][kink], kind="stable")[:MOST_KINKS]])
     left, width = left[kink], width[kink]
     for _ in range(SHARPER):
         left, _ = sharpest(left, width)

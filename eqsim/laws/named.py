@@ -17,7 +17,7 @@ from eqsim.errors import POSITIVE, InputError, require_number
 from eqsim.laws.threshold import Delta, Gamma, Smooth, ThresholdLaw
 from eqsim.numerics.tables import Array
 
-_NODES, _WEIGHTS = special.roots_legendre(12)
+_CUT_NODES, _CUT_WEIGHTS = special.roots_legendre(12)
 _ROOT_2PI = math.sqrt(2.0 * math.pi)
 
 
@@ -263,8 +263,8 @@ class Normal(Named):
     def _near_cut(self, w: Array) -> Any:
         """int_0^w exp(y/s - y^2/2) dy, without the cancellation of two normal integrals
         that are almost the same."""
-        y = np.multiply.outer(w, 0.5 + 0.5 * _NODES)
-        return 0.5 * w * (np.exp(y / self.numbers[0] - 0.5 * y * y) @ _WEIGHTS)
+        y = np.multiply.outer(w, 0.5 + 0.5 * _CUT_NODES)
+        return 0.5 * w * (np.exp(y / self.numbers[0] - 0.5 * y * y) @ _CUT_WEIGHTS)
 
     def below(self, u: Array) -> Any:
         (s,) = self.numbers

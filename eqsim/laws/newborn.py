@@ -38,7 +38,7 @@ _NUMBERS = {
 }
 # share of births that may be so stretched that hardly a threshold is above them
 _LOST = 1e-9
-_RAREST = 470.0  # -ln J_c of a threshold that counts as the greatest
+_RAREST_THRESHOLD = 470.0  # -ln J_c of a threshold that counts as the greatest
 # of stretches over the scale of the thresholds; below, hardly a threshold is passed
 _FIRST_OCTAVE = -40
 
@@ -272,12 +272,11 @@ class Newborn:
 def _greatest(thresholds: ThresholdLaw) -> float:
     """The greatest threshold that counts, in units of the scale."""
     steps = thresholds.steps
-    top = steps[-1] if steps.size else thresholds.inverse_survival(_RAREST)
+    top = steps[-1] if steps.size else thresholds.inverse_survival(_RAREST_THRESHOLD)
     return float(top) / thresholds.scale
 
 
-# ---------------------------------------------------------------------------------------------------------
-# kernels
+# ---- kernels ----
 
 
 class Unstressed(NamedTuple):
@@ -329,7 +328,7 @@ def stretched(newborn: Newborn, thresholds: ThresholdLaw, two_sided: bool) -> St
 def _ranks(n: float) -> Array:
     """-ln J_c of a gamma law against the stretch."""
     law = Gamma(n)
-    last = math.ceil(math.log2(float(law.inverse_survival(_RAREST)))) + 1
+    last = math.ceil(math.log2(float(law.inverse_survival(_RAREST_THRESHOLD)))) + 1
     x = octave_edges(_FIRST_OCTAVE, last)
     weak = x < float(law.inverse_survival(0.7))
     with np.errstate(divide="ignore", invalid="ignore"):

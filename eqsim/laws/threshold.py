@@ -306,9 +306,8 @@ class Table(_Discrete):
                 "from 1e-100 to 1e100"
             )
         if steps[-1] > 1e30 * steps[0]:
-            raise InputError(
-                f"threshold table: spans {steps[0]:g} to {steps[-1]:g}; at most 30 decades"
-            )
+            span = f"{steps[0]:g} to {steps[-1]:g}"
+            raise InputError(f"threshold table: spans {span}; at most 30 decades")
         steps.flags.writeable = False
         self.steps = steps
 

@@ -16,17 +16,17 @@ import numpy as np
 from eqsim.numerics.compiled import kernel
 from eqsim.numerics.tables import Array
 
-_BITS = 30
+_SOBOL_BITS = 30
 # of the bits of a number, the highest first
-_PLACES = np.arange(_BITS - 1, -1, -1, dtype=np.int32)
+_PLACES = np.arange(_SOBOL_BITS - 1, -1, -1, dtype=np.int32)
 
 
 def _directions(dimensions: int) -> Array:
     """The bits of the direction numbers of up to three dimensions, shape (dimensions,
     bits, numbers)."""
-    m = np.ones((3, _BITS), np.int64)
+    m = np.ones((3, _SOBOL_BITS), np.int64)
     m[2, 1] = 3
-    for k in range(1, _BITS):
+    for k in range(1, _SOBOL_BITS):
         m[1, k] = 2 * m[1, k - 1] ^ m[1, k - 1]
         if k > 1:
             m[2, k] = 2 * m[2, k - 1] ^ 4 * m[2, k - 2] ^ m[2, k - 2]
@@ -53,17 +53,20 @@ class Sobol(NamedTuple):
     ) -> "Sobol":
         """A sequence of each random generator, of `most` points, up to 2^30, in up to
         three dimensions."""
-        size, shape = dimensions * _BITS, (len(generators), dimensions, _BITS)
+        size, shape = (
+            dimensions * _SOBOL_BITS,
+            (len(generators), dimensions, _SOBOL_BITS),
+        )
         drawn = np.array(
             [
-                rng.integers(2, size=size * (1 + _BITS), dtype=np.uint32)
+                rng.integers(2, size=size * (1 + _SOBOL_BITS), dtype=np.uint32)
                 for rng in generators
             ]
         )
         shifts = drawn[:, :size].reshape(shape)
-        scramble = drawn[:, size:].reshape(*shape, _BITS) * np.tri(
-            _BITS, k=-1
-        ) + np.eye(_BITS)
+        scramble = drawn[:, size:].reshape(*shape, _SOBOL_BITS) * np.tri(
+            _SOBOL_BITS, k=-1
+        ) + np.eye(_SOBOL_BITS)
         needed = _directions(dimensions)[:, :, : (most - 1).bit_length()]
         bits = (scramble @ needed).astype(np.int32) & 1
         words = np.bitwise_or.reduce(bits << _PLACES[:, None], axis=2).astype(np.uint32)
@@ -100,4 +103,4 @@ def put_points(sobol: Sobol, first: int, bits: Array, found: Array) -> None:
                         bits[half + i] = bits[i] ^ words[s, d, k]
                     half *= 2
             for i in range(bits.size):
-                found[d, s, i] = bits[i] * 2.0**-_BITS + 2.0 ** -(_BITS + 1)
+                found[d, s, i] = bits[i] * 2.0**-_SOBOL_BITS + 2.0 ** -(_SOBOL_BITS + 1)

@@ -24,8 +24,8 @@ Array = np.ndarray[Any, np.dtype[Any]]
 NO_TABLE: Array = np.empty((0, 4))
 CELLS = 64
 # bits of the mantissa below those that number the 64 cells of an octave
-_SHIFT = 52 - 6
-_FRACTION = (1 << _SHIFT) - 1
+_CELL_SHIFT = 52 - 6
+_FRACTION = (1 << _CELL_SHIFT) - 1
 # bits of 2^52, the last of which are those of an integer that is added
 _UNITS = 0x4330000000000000
 _BIAS = 1023 * CELLS  # of the IEEE exponent, in cells
@@ -81,7 +81,7 @@ def _cell_of(first: float, per_edge: float, cells: float, s: float) -> tuple[Any
     """The row of the polynomial that holds at s > 0, and its argument, from what row 0
     says."""
     bits: Any = np.float64(s).view(np.int64)
-    cell = (bits >> _SHIFT) - np.int64(first)
+    cell = (bits >> _CELL_SHIFT) - np.int64(first)
     t: Any = (np.int64(bits & _FRACTION | _UNITS).view(np.float64) - 2.0**52) * (
         1.0 / (_FRACTION + 1)
     )

@@ -20,7 +20,7 @@ Result = TypeVar("Result")
 
 NEVER = np.zeros(1, np.int64)  # a flag that nobody sets
 # seconds; kernels look at their flag every few milliseconds, compilers never do
-_PATIENCE = 0.3
+_LONGEST_STOP = 0.3
 _above = threading.local()  # `pool`: the threads among which the current one is
 
 
@@ -90,7 +90,7 @@ class ThreadPool(Executor):
                 pass
         for _ in self._threads:
             self._tasks.put(None)
-        patience = time.monotonic() + _PATIENCE
+        patience = time.monotonic() + _LONGEST_STOP
         for thread in self._threads:
             thread.join(None if wait else max(0.0, patience - time.monotonic()))
         if self._parent is not None:

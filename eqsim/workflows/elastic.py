@@ -140,8 +140,7 @@ def run_elastic(
     """Simulate a run file with coupled blocks, whose `drive` has some. Raises
     InputError."""
     ensemble, output = file.ensemble, file.output
-    size = output.points, output.seed, output.replicas
-    _, expected = check_elastic(ensemble, drive, *size, max_lives)
+    _, expected = check_elastic(ensemble, drive, output, max_lives)
     progress(0, expected)
     found = elastic_trajectory(
         ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=threads,

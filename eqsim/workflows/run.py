@@ -372,17 +372,16 @@ def run(
             )
         how: dict[str, Any] = {"threads": threads, "progress": progress}
         return run_elastic(file, drive, max_lives=max_lives, **how)
-    size = output.points, output.seed, output.replicas
     many: dict[str, Any] = {"seed": output.seed, "replicas": output.replicas}
     rough = 5e-3 if ensemble.fluctuates else 1e-3
     with ExitStack() as stack:
-        expected = check_run(ensemble, drive, *size, max_lives)
+        expected = check_run(ensemble, drive, output, max_lives)
         if output.series and workers:
             raise InputError(
                 "output.series: every series is kept by threads; not with --workers or --dask"
             )
         if output.breaks and isinstance(drive, Drive):
-            check_breaks(ensemble, drive, output.seed, output.replicas)
+            check_breaks(ensemble, drive, output)
         pool = stack.enter_context(workers.fixed_pool()) if workers else None
         progress(0, expected)
         level = None

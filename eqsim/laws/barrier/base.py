@@ -29,12 +29,12 @@ from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.roots import Bracket, bisected, narrowed
 from eqsim.numerics.tables import NO_TABLE, Array
 
-_NODES, _WEIGHTS = gauss_legendre(8)
-_RANGE = 2.0  # of E in a cell, over which 8 nodes integrate exp(-E) to 1e-12
+_CELL_NODES, _CELL_WEIGHTS = gauss_legendre(8)
+_CELL_RANGE = 2.0  # of E in a cell, over which 8 nodes integrate exp(-E) to 1e-12
 # cells whose rate is e^40 times less than the largest at an end do not count
-_NEGLIGIBLE = 40.0
+_NEGLIGIBLE_CELL = 40.0
 _COARSEST = 3  # halvings before a cell may be left out: E may have its minimum inside
-_DEEPEST = 60  # halvings of a piece; there rounding is all that varies
+_MOST_HALVINGS = 60  # halvings of a piece; there rounding is all that varies
 
 
 class Numbers(NamedTuple):
@@ -161,8 +161,7 @@ class Barrier(Law):
         return NO_TABLE
 
 
-# ---------------------------------------------------------------------------------------------------------
-# kernels
+# ---- kernels ----
 
 
 @by_law
@@ -264,15 +263,17 @@ def _averaged(law: Any, xi: float, k: float, x: float, length: float) -> float:
         right = height(law, xi, xi - u * u, a)
         u = far - (t + 0.5 * width) * way
         middle = height(law, xi, xi - u * u, a)
-        seen = level < _COARSEST or min(left, right) < least + _NEGLIGIBLE
+        seen = level < _COARSEST or min(left, right) < least + _NEGLIGIBLE_CELL
         varies = max(abs(right - left), abs(middle - left), abs(middle - right))
-        if seen and varies > _RANGE and level < _DEEPEST:
+        if seen and varies > _CELL_RANGE and level < _MOST_HALVINGS:
             level, index = level + 1, 2 * index
             continue
         if seen:
-            for i in range(_NODES.size):
-                u = far - (t + 0.5 * width * (1.0 + _NODES[i])) * way
-                total += 0.5 * width * _WEIGHTS[i] * rate(law, xi, k, xi - u * u) * u
+            for i in range(_CELL_NODES.size):
+                u = far - (t + 0.5 * width * (1.0 + _CELL_NODES[i])) * way
+                total += (
+                    0.5 * width * _CELL_WEIGHTS[i] * rate(law, xi, k, xi - u * u) * u
+                )
         left, index = right, index + 1
         while index % 2 == 0 and level > 0:
             level, index = level - 1, index // 2

@@ -202,7 +202,7 @@ def _mean_rate(
 # sqrt(a) exp(a (xi^2 - y^2)): I(z, s) = int_0^s exp(2 z t + t^2) dt = exp(s^2 + 2 z s)
 # D(z + s) - D(z) = T,   D Dawson's function     (derived)
 
-_NODES, _WEIGHTS = (tuple(part.tolist()) for part in gauss_legendre(8))
+_SHORT_NODES, _SHORT_WEIGHTS = (tuple(part.tolist()) for part in gauss_legendre(8))
 
 
 @routine(inline=True)
@@ -210,8 +210,8 @@ def _ahead(z: float, s: float) -> float:
     """I(z, s) where its integrand changes by a factor of a few."""
     total = 0.0
     for i in range(8):
-        t = 0.5 * s * (1.0 + _NODES[i])
-        total += _WEIGHTS[i] * math.exp(t * (2.0 * z + t))
+        t = 0.5 * s * (1.0 + _SHORT_NODES[i])
+        total += _SHORT_WEIGHTS[i] * math.exp(t * (2.0 * z + t))
     return 0.5 * s * total
 
 
