@@ -18,9 +18,8 @@ from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
 from eqsim.master.closure import Closure, closure
 from eqsim.master.stability import FreshSlip, Stability, fresh_slip, stability
-from eqsim.master.steady import Reference, reference
+from eqsim.master.steady import Curve, Reference, curve, reference
 from eqsim.master.transient import Fluctuations, Transient, fluctuations, transient
-from eqsim.master.velocities import Curve, curve
 from eqsim.model.drive import Drive, Programme, Segment, Stage
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble

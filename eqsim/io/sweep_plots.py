@@ -476,7 +476,7 @@ def _curve(
     sweep: Sweep, part: Points, columns: tuple[str, str], log: bool, solves: int
 ) -> tuple[Array, Array] | None:
     """The reference of a series between its points, where it takes little time."""
-    from eqsim.master.velocities import curve
+    from eqsim.master.steady import curve
 
     x, y = columns
     low, high = float(part[x].min()), float(part[x].max())
