@@ -51,8 +51,9 @@ _MARKS = np.array([1e-4, 0.02, 0.3, 1.0, 2.5, 6.0, 15.0, 40.0, 120.0, 500.0])
 _RISE = 16.0
 # Where a panel is split: crowded, as the trouble is mostly at its left end.
 _PIECES = np.array([0.0, 0.12, 0.5, 1.0])
-# The relative error that ends refinement.
+# The relative error that ends refinement, and its like for a mixture.
 _RESOLVED = 2e-12
+_RESOLVED_MIXTURE = 1e-9
 # The narrowest panel, relative to its right end.
 _NARROWEST_IN_X = 1e-14
 # Panels at most.
@@ -249,7 +250,8 @@ class _Solution:
     def too_rough(self, panels: Panels) -> tuple[Array, _Integrals]:
         """`judge` at the C that is known."""
         of = self.integrals(panels, self.weights(self.stretch))
-        rough = (of.errors > _RESOLVED * of.total[:, :, None]).any(axis=(0, 1))
+        resolved = _RESOLVED_MIXTURE if self.ages else _RESOLVED
+        rough = (of.errors > resolved * of.total[:, :, None]).any(axis=(0, 1))
         width = panels.right - panels.left
         return rough & (width > _NARROWEST_IN_X * panels.right), of
 
@@ -289,7 +291,8 @@ class _Solution:
         """Ends of the first panels: from the shortest lives to where no threshold is
         left."""
         law, barrier, laws = self.contacts.law, self.contacts.barrier, self.mixture.laws
-        marks = [end.inverse_survival(_MARKS) for end in (laws[0], laws[-1])]
+        seen = _MARKS[1::2] if self.ages else _MARKS
+        marks = [end.inverse_survival(seen) for end in (laws[0], laws[-1])]
         known = np.concatenate((*marks, law.breakpoints)) / law.scale
         known = known[(known > 0) & np.isfinite(known)]
         least, greatest = (edge / law.scale for edge in law.support)
