@@ -33,12 +33,10 @@ from eqsim.master import closure as _closure
 from eqsim.master import stability as _stability
 from eqsim.master import steady as _exact
 from eqsim.master import transient as _transient
-from eqsim.master import velocities as _velocities
 from eqsim.master.closure import Closure
 from eqsim.master.stability import FreshSlip, Stability
-from eqsim.master.steady import Reference
+from eqsim.master.steady import Curve, Reference
 from eqsim.master.transient import Fluctuations, Transient
-from eqsim.master.velocities import Curve
 from eqsim.model.drive import Drive, Programme, Segment, Stage
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
@@ -119,7 +117,7 @@ __all__ = [
 breaks = calls.accepts_run_file(_breaks.breaks)
 closure = calls.accepts_run_file(_closure.closure)
 curve: calls.CurveCall = cast(
-    Any, calls.accepts_run_file(_velocities.curve, calls.swept_velocities)
+    Any, calls.accepts_run_file(_exact.curve, calls.swept_velocities)
 )
 elastic_trajectory = calls.accepts_run_file(_elastic.elastic_trajectory)
 fluctuations = calls.accepts_run_file(

@@ -19,7 +19,7 @@ from eqsim.engine.records import ProgrammeTrajectory, Trajectory
 from eqsim.errors import InputError, shown
 from eqsim.io.runfile import RunFile, opened
 from eqsim.io.units import Interface, Quantity, Units, quantities
-from eqsim.master.velocities import Curve
+from eqsim.master.steady import Curve
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import tell_quantities

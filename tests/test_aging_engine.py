@@ -44,7 +44,7 @@ from eqsim.engine.langevin import (
 )
 from eqsim.engine.sample import Source, lives
 from eqsim.engine.stationary import stationary, stretches, whole_lives
-from eqsim.master.fokker_planck import survival
+from eqsim.master.fokker_planck import survival_of_fluctuating
 from eqsim.master.transient import transient
 from eqsim.model.reduced import reduced
 from eqsim.numerics.streams import key
@@ -294,7 +294,7 @@ def lived(path, factor=1.0, many=LIVES):
 
 @functools.cache
 def expected(path):
-    return survival(reduced(ensemble_of(path), 1.0))
+    return survival_of_fluctuating(reduced(ensemble_of(path), 1.0))
 
 
 def distance(stretch, life):

@@ -25,7 +25,7 @@ from eqsim.fitting.fit import fit, goodness, prepare
 from eqsim.fitting.model import Problem
 from eqsim.fitting.section import Parameter, parameters_of, section_of
 from eqsim.io.runfile import at, check, load, parameters
-from eqsim.master.velocities import curve
+from eqsim.master.steady import curve
 
 VELOCITIES = np.geomspace(1e-3, 10.0, 12)
 RUN = """

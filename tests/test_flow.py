@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from eqsim.laws.threshold import Gamma
 from eqsim.master import flow, quenched
+from eqsim.master.survivors import survivors
 
 ROWS = aging("flow")
 LAW = Gamma(1.0)
@@ -28,13 +29,18 @@ def at(row, alpha_factor=1.0):
     b = row.stiffness * unit**2 / (2 * row.kT)
     alpha = alpha_factor * 4 * row.rate * unit / (row.velocity * row.x_star_final**2)
     log_w = math.log(row.attempt_frequency * unit / row.velocity)
-    m = flow.stationary(
+    m = flow.moments_along_paths(
         contacts(
             Gamma(row.n, unit), row.stiffness_law, row.barrier, b, log_w, final, alpha
         )
     )
     cycle = unit * m.stretch + row.velocity * row.delay
     return unit**2 * m.work / cycle, unit * m.stretch / cycle, unit * m.stretch
+
+
+def still_of(*case):
+    """Moments of contacts that do not age."""
+    return quenched.quenched_moments([contacts(*case)])[0]
 
 
 @pytest.mark.parametrize("row", list(ROWS.itertuples()), ids=lambda row: row.id)
@@ -60,11 +66,11 @@ def test_zero_temperature(v, value):
     """x_*i = .1, x_*f = 1, D = .1: the six printed digits; S(x) = J_ci(x/s(x)); its
     integral is C."""
     alpha = 4 * 0.1 * 0.1 / v
-    m = flow.stationary(contacts(LAW, "uniform", *COLD, 10.0, alpha))
+    m = flow.moments_along_paths(contacts(LAW, "uniform", *COLD, 10.0, alpha))
     assert 0.1 * m.work / m.stretch == pytest.approx(value, abs=6e-7)
     x = np.geomspace(1e-15, 70.0, 2500)
     s = np.sqrt(100 - 99 * np.exp(-alpha * x))
-    survive, k1, k2 = flow.survivors(contacts(LAW, "uniform", *COLD, 10.0, alpha), x)
+    survive, k1, k2 = survivors(contacts(LAW, "uniform", *COLD, 10.0, alpha), x)[0]
     np.testing.assert_allclose(survive, LAW.sf(x / s), rtol=0, atol=1e-8)
     assert np.array_equal(survive, k1)
     assert np.array_equal(survive, k2)
@@ -90,18 +96,18 @@ def test_limits_of_slow_and_fast_aging(law, final):
     = 1e-16, the shortest lives 1e-6."""
     barrier, stiffness = law
     for b, log_w in itertools.product((0.1, 30.0, 1e5), (-3.0, 3.0, 12.0)):
-        still = quenched.stationary(contacts(LAW, stiffness, barrier, b, log_w))
-        slow = flow.stationary(
+        still = still_of(LAW, stiffness, barrier, b, log_w)
+        slow = flow.moments_along_paths(
             contacts(LAW, stiffness, barrier, b, log_w, final, 1e-13)
         )
         assert slow[:2] == pytest.approx(still[:2], rel=1e-9, abs=0)
         more = final if stiffness == "sqrt" else 1.0
-        aged = quenched.stationary(
-            contacts(
-                LAW, stiffness, barrier, b * final**2 * more, log_w + math.log(final)
-            )
+        aged = still_of(
+            LAW, stiffness, barrier, b * final**2 * more, log_w + math.log(final)
         )
-        fast = flow.stationary(contacts(LAW, stiffness, barrier, b, log_w, final, 1e16))
+        fast = flow.moments_along_paths(
+            contacts(LAW, stiffness, barrier, b, log_w, final, 1e16)
+        )
         assert fast.stretch == pytest.approx(final * aged.stretch, rel=1e-9, abs=0)
         assert fast.work == pytest.approx(final**2 * more * aged.work, rel=1e-9, abs=0)
 
@@ -143,7 +149,7 @@ def test_single_contacts(barrier, stiffness):
         (0.3, 3.0, 10.0, 20.0),
         (2.0, -1.0, 1, 1),
     ]:
-        moments, errors = flow.life_moments(
+        moments, errors = flow.path_moments(
             contacts(LAW, stiffness, barrier, b, log_w, final, alpha), xi0
         )
         plain = np.transpose(
@@ -159,7 +165,7 @@ def test_single_contacts(barrier, stiffness):
             LAW, stiffness, barrier, more_b * b, log_w, final, more_alpha * alpha
         )
         assert np.all(
-            np.abs(flow.life_moments(off, xi0)[0] / plain - 1).max(axis=1) > 1e-5
+            np.abs(flow.path_moments(off, xi0)[0] / plain - 1).max(axis=1) > 1e-5
         )
 
 
@@ -168,7 +174,7 @@ def test_single_contacts_reject_stiffness_frozen_at_birth(barrier):
     """With the sqrt law k_i follows the current threshold; thresholds that grow
     threefold show it beyond any error."""
     case = ("sqrt", barrier, 1.0, 1.0, 3.0, 0.7)
-    moments, _ = flow.life_moments(contacts(LAW, *case), np.array([1.5]))
+    moments, _ = flow.path_moments(contacts(LAW, *case), np.array([1.5]))
     assert np.all(np.abs(contact(*case, 1.5, frozen=True) / moments[:, 0] - 1) > 0.01)
 
 
@@ -190,7 +196,7 @@ def test_ends_of_the_ranges():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for stiffness, barrier, b, log_w, final, alpha in WIDE[::5]:
-            m = flow.stationary(
+            m = flow.moments_along_paths(
                 contacts(LAW, stiffness, barrier, b, log_w, final, alpha)
             )
             assert np.all(np.isfinite(m[:4]))
@@ -205,14 +211,14 @@ def test_errors_cover_a_refined_result(monkeypatch):
     cases = [
         (*case, m)
         for case in WIDE[::11]
-        for m in [flow.stationary(contacts(LAW, *case))]
+        for m in [flow.moments_along_paths(contacts(LAW, *case))]
     ]
     monkeypatch.setattr(flow, "_RESOLVED", 1e-14)
-    monkeypatch.setattr(flow, "_CONVERGED", 1e-14)
+    monkeypatch.setattr(flow, "_CONVERGED_BIRTHS", 1e-14)
     monkeypatch.setattr(quenched, "_BIRTHS", np.linspace(-34.7, 6.2, 60))
     monkeypatch.setattr(flow, "_SHORTEST", 64.0**-25)
     for *case, m in cases:
-        fine = flow.stationary(contacts(LAW, *case))
+        fine = flow.moments_along_paths(contacts(LAW, *case))
         assert abs(m.stretch - fine.stretch) < m.stretch_error + 2e-14 * m.stretch
         assert abs(m.work - fine.work) < m.work_error + 2e-14 * m.work
 
@@ -227,10 +233,12 @@ def test_survivors(final, law):
         np.arange(math.log(7.5 * max(1.0, final)), math.log(1e-15), -0.015)[::-1]
     )
     for b, log_w, alpha in [(0.3, 2.0, 1.0), (30.0, 12.0, 0.1), (1e8, 10.0, 1e3)]:
-        values = flow.survivors(
+        values = survivors(
             contacts(LAW, stiffness, barrier, b, log_w, final, alpha), x
+        )[0]
+        m = flow.moments_along_paths(
+            contacts(LAW, stiffness, barrier, b, log_w, final, alpha)
         )
-        m = flow.stationary(contacts(LAW, stiffness, barrier, b, log_w, final, alpha))
         for power, moment in enumerate((m.stretch, m.work)):
             total = CubicSpline(np.log(x), values[power] * x ** (power + 1)).integrate(
                 math.log(x[0]), math.log(x[-1])
@@ -246,7 +254,7 @@ def test_survivors_without_aging(barrier):
     """S, E[k] and E[k^2] at some x against plain quadrature over births of the closed
     form, to 1e-8."""
     x = np.array([1e-3, 0.03, 0.3, 1.0, 2.5])
-    found = flow.survivors(contacts(LAW, "sqrt", barrier, 40.0, 8.0, 2.0, 1e-14), x)
+    found = survivors(contacts(LAW, "sqrt", barrier, 40.0, 8.0, 2.0, 1e-14), x)[0]
     for j, xj in enumerate(x):
         for power in range(3):
 

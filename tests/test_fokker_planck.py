@@ -15,7 +15,9 @@ from rows import aging
 from scipy.interpolate import CubicSpline
 
 from eqsim import Gamma
-from eqsim.master import fokker_planck, quenched
+from eqsim.master import fokker_planck
+from eqsim.master.quenched import quenched_moments
+from eqsim.master.survivors import survivors
 
 ROWS = list(aging("langevin").itertuples())
 
@@ -36,7 +38,7 @@ def numbers(n, final, mobility, stiffness, barrier, b, log_w):
 
 
 def survival(*case):
-    """`fokker_planck.survival` of `numbers`, solved anew."""
+    """`survival_of_fluctuating` of `numbers`, solved anew."""
     return fokker_planck._survival.__wrapped__(*numbers(*case))
 
 
@@ -128,10 +130,8 @@ def test_without_mobility(mobility, case):
     drift by 2e-10 xi/rho^2 per stretch, and fluctuations change rates in proportion to
     b: `slack` is several times the sum."""
     n, final, law = case
-    life, exact = (
-        survival(n, final, mobility, *law),
-        quenched.stationary(contacts(Gamma(n), *law)),
-    )
+    life = survival(n, final, mobility, *law)
+    (exact,) = quenched_moments([contacts(Gamma(n), *law)])
     slack = 10 * mobility * max(law[2], math.sqrt(n + 1.0) / final**2, 1.0)
     assert (
         abs(life.stretch / exact.stretch - 1)
@@ -139,7 +139,7 @@ def test_without_mobility(mobility, case):
     )
     assert abs(life.work / exact.work - 1) < life.work_error / life.work + 1e-11 + slack
     inside = np.flatnonzero(life.x > 1e-6)[:-1]
-    profile = np.array(quenched.survivors_at(contacts(Gamma(n), *law), life.x[inside]))
+    profile = survivors(contacts(Gamma(n), *law), life.x[inside])[0]
     assert np.all(
         np.abs(life.values[:, inside] - profile)
         < life.errors[:, inside] + 1e-7 * profile[:, :1] + slack
@@ -354,5 +354,5 @@ def test_laws_with_equal_numbers():
     )
     assert soft != stiff
     assert tuple(soft.barrier) == tuple(stiff.barrier)
-    found = [fokker_planck.survival(s).stretch for s in (soft, stiff)]
+    found = [fokker_planck.survival_of_fluctuating(s).stretch for s in (soft, stiff)]
     assert abs(found[0] / found[1] - 1) > 0.01

@@ -43,7 +43,9 @@ from eqsim.io import runfile
 from eqsim.laws.aging import Flow, Logarithmic, Unaged, along, base
 from eqsim.laws.delay import Fixed
 from eqsim.laws.stiffness import Springs
-from eqsim.master import flow, quenched
+from eqsim.master.flow import moments_along_paths, path_moments
+from eqsim.master.quenched import quenched_moments
+from eqsim.master.survivors import survivors
 from eqsim.model.groups import groups
 from eqsim.model.reduced import Reduced, reduced
 from eqsim.validation.scores import _forces
@@ -478,7 +480,7 @@ def test_single_contacts(barrier, stiffness):
                 Fixed(0.0),
                 0.0,
             )
-            found.append(flow.life_moments(s, xi0))
+            found.append(path_moments(s, xi0))
             plain.append(
                 np.transpose(
                     [
@@ -517,7 +519,7 @@ def test_slow_growth_is_none(law, stiffness):
         slow = reduced(replace(plain, aging=aging(1e-11, 1e-3)), 0.3)
         assert isinstance(slow.aging, Logarithmic)
         still = reduced(plain, 0.3)
-        ours, exact = flow.stationary(slow), quenched.stationary(still)
+        ours, (exact,) = moments_along_paths(slow), quenched_moments([still])
         known = [
             max(one.stretch_error / one.stretch, one.work_error / one.work)
             for one in (ours, exact)
@@ -528,7 +530,7 @@ def test_slow_growth_is_none(law, stiffness):
         # 1e-3 in ln x
         off = 1e-4 if law is LAWS["histogram"] or law is LAWS["uniform"] else 2e-8
         np.testing.assert_allclose(
-            flow.survivors(slow, x), quenched.survivors_at(still, x), rtol=0, atol=off
+            survivors(slow, x)[0], survivors(still, x)[0], rtol=0, atol=off
         )
 
 
@@ -544,7 +546,7 @@ def test_ends_of_the_ranges():
                     stiffness_law=stiffness, thermal=Thermal(kT), aging=aging(0.1, 1.0)
                 )
                 s = reduced(e, v)._replace(aging=Logarithmic(0.1, 1.0 / slid))
-                found = flow.stationary(s)
+                found = moments_along_paths(s)
                 assert np.all(np.isfinite(found[:4]))
                 assert found.stretch_error < 1e-8 * found.stretch
                 assert found.work_error < 1e-8 * found.work

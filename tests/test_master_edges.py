@@ -16,8 +16,21 @@ from eqsim import Distribution, Gamma, Table
 from eqsim.laws.barrier import pooled
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master import annealed, flow, quenched
+from eqsim.master.survivors import survivors
 
 LAWS = list(itertools.product(["soft", "stiff"], ["uniform", "sqrt"]))
+
+
+def annealed_of(*case):
+    return annealed.annealed_moments([contacts(*case)])[0]
+
+
+def quenched_of(*case):
+    return quenched.quenched_moments([contacts(*case)])[0]
+
+
+def flowing_of(*case):
+    return flow.moments_along_paths(contacts(*case))
 
 
 def exponent(barrier, x, xi, a):
@@ -94,7 +107,7 @@ def test_uniform_law_above_zero():
     """Thresholds even on (1, 2), kT = v = 1: C = 1.1232368 by nested adaptive
     quadrature (7 digits: 5e-8)."""
     law = Distribution(scipy.stats.uniform(1, 1))
-    m = annealed.stationary(contacts(law, "uniform", "soft", 1.5**2 / 2, math.log(1.5)))
+    m = annealed_of(law, "uniform", "soft", 1.5**2 / 2, math.log(1.5))
     assert 1.5 * m.stretch == pytest.approx(1.1232368, abs=6e-8)
     assert m.stretch_error < 1e-9 * m.stretch
 
@@ -109,15 +122,15 @@ def test_annealed_laws_with_edges(name, law):
     is 1000 times that off."""
     (barrier, stiffness), (law, edges, density) = law, histogram(name)
     for b, w in ((1.0, 2.0), (40.0, 100.0)):
-        m = annealed.stationary(contacts(law, stiffness, barrier, b, math.log(w)))
+        m = annealed_of(law, stiffness, barrier, b, math.log(w))
         plain = plain_annealed(
             edges, density, law.rms / law.scale, stiffness, barrier, b, w
         )
         assert m[:2] == pytest.approx(plain, rel=1e-8, abs=0)
         assert m.stretch_error < 1e-9 * m.stretch
         assert m.work_error < 1e-9 * m.work
-        moved = annealed.stationary(
-            contacts(law, stiffness, barrier, b * 1.0001**2, math.log(w * 1.0001))
+        moved = annealed_of(
+            law, stiffness, barrier, b * 1.0001**2, math.log(w * 1.0001)
         )
         assert abs(1.0001 * moved.stretch / plain[0] - 1) > 1e-5
 
@@ -152,7 +165,7 @@ def test_annealed_thresholds_of_many_scales(thresholds, barrier):
                     state = integrate.solve_ivp(
                         slope, (left, right), state, "DOP853", rtol=1e-9, atol=1e-30
                     ).y[:, -1]
-        m = annealed.stationary(contacts(law, "uniform", barrier, b, math.log(w)))
+        m = annealed_of(law, "uniform", barrier, b, math.log(w))
         assert m.stretch == pytest.approx(state[1], rel=1e-7, abs=0)
         assert m.work == pytest.approx(state[2], rel=1e-7, abs=0)
         assert m.stretch_error < 1e-6 * m.stretch
@@ -166,9 +179,7 @@ def test_annealed_lives_much_shorter_than_any_threshold(n, b):
     is (v/omega) (1 + b)^(n+1) as long as that is small; corrections are of relative
     order b C^2 = 1e-38."""
     C = math.exp(-46.0)
-    m = annealed.stationary(
-        contacts(Gamma(n), "uniform", "soft", b, 46.0 + (n + 1) * math.log1p(b))
-    )
+    m = annealed_of(Gamma(n), "uniform", "soft", b, 46.0 + (n + 1) * math.log1p(b))
     assert m.stretch == pytest.approx(C, rel=1e-10, abs=0)
     assert m.work == pytest.approx(C**2, rel=1e-10, abs=0)
 
@@ -184,17 +195,13 @@ def test_annealed_attempts_without_a_barrier(law):
     mean = law.mean / law.scale
     for w in (1e-3, 1.0, 30.0):
         for stiffness in ("uniform", "sqrt"):
-            m = annealed.stationary(
-                contacts(law, stiffness, "soft", 1e-15, math.log(w))
-            )
+            m = annealed_of(law, stiffness, "soft", 1e-15, math.log(w))
             assert (
                 abs(m.stretch + math.expm1(-w * mean) / w)
                 < m.stretch_error + 1e-13 * m.stretch
             )
             assert m.stretch_error < 1e-9 * m.stretch
-        wrong = annealed.stationary(
-            contacts(law, "uniform", "stiff", 1e-15, math.log(w))
-        )
+        wrong = annealed_of(law, "uniform", "stiff", 1e-15, math.log(w))
         assert abs(wrong.stretch + math.expm1(-w * mean) / w) > 1e3 * m.stretch_error
 
 
@@ -228,7 +235,7 @@ def test_annealed_errors_cover_a_refined_result(monkeypatch):
     cases = list(scan(SMOOTH + OTHERS, 1))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = [annealed.stationary(contacts(*case)) for case in cases]
+        found = [annealed_of(*case) for case in cases]
     between = np.sqrt(pooled._EXPONENTS[1:] * pooled._EXPONENTS[:-1])
     finer = {
         "_EXPONENTS": np.sort(np.append(pooled._EXPONENTS, between)),
@@ -242,7 +249,7 @@ def test_annealed_errors_cover_a_refined_result(monkeypatch):
     monkeypatch.setattr(annealed, "_RISE", 2.2)
     monkeypatch.setattr(annealed, "_RESOLVED", 5e-13)
     for case, m in zip(cases, found, strict=True):
-        covered(case[0], m, annealed.stationary(contacts(*case)))
+        covered(case[0], m, annealed_of(*case))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -258,7 +265,7 @@ def test_quenched_lives_much_shorter_than_any_threshold(barrier, stiffness):
     1e-11 and the quadrature's 1e-12; another n fails."""
     law = Gamma(1.0)
     for b, log_w in ((1e-3, 50.0), (1e-3, 40.0), (0.02, 45.0)):
-        m = quenched.stationary(contacts(law, stiffness, barrier, b, log_w))
+        m = quenched_of(law, stiffness, barrier, b, log_w)
 
         def mean(power, b=b):
             def term(xi):
@@ -276,14 +283,14 @@ def test_quenched_lives_much_shorter_than_any_threshold(barrier, stiffness):
 
         assert m.stretch == pytest.approx(math.exp(-log_w) * mean(1), rel=2e-11, abs=0)
         assert m.work == pytest.approx(math.exp(-2 * log_w) * mean(2), rel=2e-11, abs=0)
-        wrong = quenched.stationary(contacts(Gamma(1.01), stiffness, barrier, b, log_w))
+        wrong = quenched_of(Gamma(1.01), stiffness, barrier, b, log_w)
         assert wrong.stretch != pytest.approx(m.stretch, rel=1e-6, abs=0)
 
 
 def test_heavy_tailed_short_lives():
     """Stiff, uniform, b = 1, log_w = 50: C = 2.2494e-19 (five digits)."""
-    assert quenched.stationary(
-        contacts(Gamma(1.0), "uniform", "stiff", 1.0, 50.0)
+    assert quenched_of(
+        Gamma(1.0), "uniform", "stiff", 1.0, 50.0
     ).stretch == pytest.approx(2.2494e-19, rel=3e-5, abs=0)
 
 
@@ -294,11 +301,9 @@ def test_quenched_errors_cover_another_solver(n):
     law = Gamma(n)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = [
-            (*case, quenched.stationary(contacts(*case))) for case in scan([law] * 4, 2)
-        ]
+        found = [(*case, quenched_of(*case)) for case in scan([law] * 4, 2)]
     for law, stiffness, barrier, b, log_w, m in found:
-        other = flow.stationary(contacts(law, stiffness, barrier, b, log_w, 1.0, 1.0))
+        other = flowing_of(law, stiffness, barrier, b, log_w, 1.0, 1.0)
         assert 0 < m.stretch_error < 1e-9 * m.stretch
         assert 0 < m.work_error < 1e-9 * m.work
         assert abs(m.stretch - other.stretch) < m.stretch_error + other.stretch_error
@@ -309,21 +314,21 @@ def test_quenched_errors_cover_a_refined_result(monkeypatch):
     """The quoted errors against a start from a hundred panels; chance agreement of two
     rules has no say in them."""
     cases = [*scan(SMOOTH + OTHERS, 3), (Gamma(1.0), "uniform", "soft", 1e3, 50.0)]
-    found = [quenched.stationary(contacts(*case)) for case in cases]
+    found = [quenched_of(*case) for case in cases]
     monkeypatch.setattr(quenched, "_BIRTHS", np.linspace(-34.7, 6.2, 101))
     monkeypatch.setattr(quenched, "_CONVERGED", 1e-13)
     for case, m in zip(cases, found, strict=True):
-        covered(case[0], m, quenched.stationary(contacts(*case)))
+        covered(case[0], m, quenched_of(*case))
 
 
 def test_levels_are_where_the_hazard_says():
     """Stiff: (omega/v) H at the stretches of `stretch_at` is exp(level) to 1e-12
     however short the lives."""
-    xi, log_w = np.array([0.1, 1.0, 3.0]), 50.0
+    xi, log_w, levels = np.array([0.1, 1.0, 3.0]), 50.0, np.arange(-24.0, 5.0, 2.0)
     for b in (1e-3, 1.0, 1e3):
         a = np.full(3, b)
         stiff = barrier_of("stiff", 1.0, log_w)
-        x = stiff.stretch_at(quenched._LEVELS, xi, a)
+        x = stiff.stretch_at(levels, xi, a)
         inside = x < xi[:, None]
         reached = (
             stiff.log_hazard(np.minimum(x, 0.999999 * xi[:, None]), xi[:, None], b)
@@ -332,7 +337,7 @@ def test_levels_are_where_the_hazard_says():
         far = inside & (x < 0.9 * xi[:, None])
         np.testing.assert_allclose(
             reached[far],
-            np.broadcast_to(quenched._LEVELS, x.shape)[far],
+            np.broadcast_to(levels, x.shape)[far],
             rtol=0,
             atol=1e-10,
         )
@@ -376,11 +381,9 @@ def test_survivors(law, barrier, stiffness):
         (30.0, 4.0, 0.6),
         (1e6, 30.0, 0.2),
     ):
-        found = quenched.survivors_at(
-            contacts(law, stiffness, barrier, b, log_w), np.array([x])
-        )
-        off = quenched.survivors_at(
-            contacts(law, stiffness, barrier, 1.0001 * b, log_w), np.array([x])
+        found, off = (
+            survivors(contacts(law, stiffness, barrier, f * b, log_w), np.array([x]))[0]
+            for f in (1.0, 1.0001)
         )
         depth = np.geomspace(1e-12, 8.0, 241)
         drop = [hazard(b, log_w, x, x + d) > -0.37 for d in depth]
@@ -426,11 +429,11 @@ def test_moments_that_hardly_exist(a, barrier):
     hardly break a contact change less than 1e-9 of it."""
     law = Distribution(scipy.stats.pareto(a))
     exact = a / (a - 3) / (2 * law.rms) / law.scale**2
-    found = quenched.stationary(contacts(law, "sqrt", barrier, 1.0, -30.0))
+    found = quenched_of(law, "sqrt", barrier, 1.0, -30.0)
     assert abs(found.work / exact - 1) < 1e-9
     assert abs(found.stretch - 1) < 1e-9
     assert (found.work_error > 0.02 * exact) == (a == 3.02)
     if barrier is not None:
-        pooled = annealed.stationary(contacts(law, "sqrt", barrier, 1.0, -60.0))
+        pooled = annealed_of(law, "sqrt", barrier, 1.0, -60.0)
         assert abs(pooled.work / exact - 1) < 1e-9 + pooled.work_error / exact
         assert pooled.work_error < 0.1 * exact

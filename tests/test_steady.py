@@ -212,7 +212,7 @@ def test_what_was_found_at_another_delay_changes_no_bit():
     steady(Ensemble(thermal=Thermal(0.2)), Drive(0.1), rel_error=1e-2)
     after = both()
     proposal_of.cache_clear()
-    master_steady._moments.cache_clear()
+    master_steady.lives_of.cache_clear()
     assert both() == after
 
 

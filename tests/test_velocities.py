@@ -24,9 +24,8 @@ from eqsim import (
 from eqsim.laws.barrier import Soft, Stiff, pooled
 from eqsim.laws.barrier.pooled import pooled_rate
 from eqsim.laws.newborn import Newborn
-from eqsim.master import annealed
-from eqsim.master.steady import settled
-from eqsim.master.velocities import curve, lives_of
+from eqsim.master.annealed import annealed_moments
+from eqsim.master.steady import curve, lives_of, settled
 
 VELOCITIES = np.geomspace(1e-4, 30.0, 9)
 UNIFORM = {"stiffness_law": "uniform"}
@@ -134,7 +133,7 @@ def test_annealed_contacts_that_age(law, kT, n, final, D):
     for i, v in enumerate(few):
         s = settled(contacts, v)
         if s.annealed:
-            stretch, work, *_ = annealed.stationary(s)
+            stretch, work, *_ = annealed_moments([s])[0]
         else:
             stretch, work = (
                 curve(Ensemble(s.law, stiffness_law=law), [v]).break_stretch[0] / 0.1,

@@ -35,7 +35,7 @@ from eqsim import (
 )
 from eqsim.fitting.model import SteadyForward
 from eqsim.fitting.record import RecordForward, search_record
-from eqsim.master.velocities import lives_of
+from eqsim.master.steady import lives_of
 
 ROOT = Path(__file__).parents[2]
 NOTHING = Outcome(0.0, 0.0)  # a job that is not about friction

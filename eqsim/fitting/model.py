@@ -22,8 +22,8 @@ from eqsim.fitting.data import MeasuredAt
 from eqsim.fitting.section import Parameter
 from eqsim.io.runfile import RunFile, at
 from eqsim.master.peak import first_peak
+from eqsim.master.steady import curve
 from eqsim.master.transient import transient
-from eqsim.master.velocities import curve
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array

@@ -1,27 +1,36 @@
 """Annealed contacts: the published master equation (Braun and Peyrard, 2011),
-stationary.
+stationary, at many velocities at once.
 
-With J_c(x) = P(xi > x), U = -ln J_c and Delta U(x) = (omega/v) G(x), G the integral of
-the pooled rate h (temper11, temper12 are H = (omega/v) h), the stationary density of
-stretches is Q(x) = E_P(x)/C with E_P = J_c exp(-Delta U) (Q11a, nt13) and
+With J_c(x) = P(xi > x) and Delta U(x) = (omega/v) G(x), G the integral of the pooled
+rate h (temper11, temper12 are H = (omega/v) h), the stationary density of stretches is
+Q(x) = E_P(x)/C with E_P = J_c exp(-Delta U) (Q11a, nt13) and
 
     C = int_0^inf E_P dx,        friction * C = int_0^inf x exp(-Delta U) E[k_i/k; xi > x] dx        (no delay),
 
 where k_i = k gives nt13 and the sqrt law, beyond the paper, uses the threshold drawn at
-birth (derived).
+birth (derived). Velocity enters only through omega/v: laws and pooled rates are
+evaluated once for all velocities, on panels that are split until the highest Chebyshev
+coefficients of the hazard, times the life that is left, and of the integrands are
+negligible at each of them.
 
-Panels in x end where the density of thresholds jumps, and are split towards their ends
-until the highest Chebyshev coefficients of the hazard, times the life that is left, and
-of the integrands are negligible.
+Births of contacts that age, of the law P_c of star1, are a mixture of gamma laws of
+scales x_*(s), s ~ Exp(1) (`laws.aging.pooled`). What depends on the scale is a
+polynomial in its logarithm; the weights of its nodes depend on the mean stretch at
+breaking C, the root of C = int J_c exp(-Delta U) dx (derived), which is found on the
+same panels.
 """
 
+import functools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from eqsim.errors import InputError
 from eqsim.laws.barrier.pooled import mean_hazard, pooled_rate
+from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.master.quenched import (
     Moments,
     beyond,
@@ -33,155 +42,296 @@ from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
 from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
-METHOD = "published master equation"
-
 # Different thresholds of a discrete law at most, to bound time.
 _MOST_STEPS = 1000
 
-# The factor by which the first panels in x rise.
-_RISE = 5.0
-# -ln J_c where the first panels end.
-_LAW = np.array([1e-4, 0.02, 0.3, 1.0, 2.5, 6.0, 15.0, 40.0, 120.0, 500.0])
-# Where a panel is split: crowded, as the trouble is mostly at one end.
-_PIECES = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
-# The relative error that ends refinement.
+# -ln J_c where the first panels in x end.
+_MARKS = np.array([1e-4, 0.02, 0.3, 1.0, 2.5, 6.0, 15.0, 40.0, 120.0, 500.0])
+# The factor by which the first of them rise.
+_RISE = 16.0
+# Where a panel is split: crowded, as the trouble is mostly at its left end.
+_PIECES = np.array([0.0, 0.12, 0.5, 1.0])
+# The relative error that ends refinement, and its like for a mixture.
 _RESOLVED = 2e-12
+_RESOLVED_MIXTURE = 1e-9
 # The narrowest panel, relative to its right end.
-_STEP = 1e-14
+_NARROWEST_IN_X = 1e-14
 # Panels at most.
-_MOST_PANELS = 1500
+_MOST_IN_X = 1500
 # The least relative error that is quoted.
 _ROUNDING = 1e-11
 
-# A survival that is out of sight.
-_DEAD = 1e-20
+# Nodes of a mixture in ln x_*, at least and per e-fold.
+_FEWEST = 10
+_PER_FOLD = 13.0
+# ln s of the trapezoidal rule over mean pinned times s, and its weights.
+_LOG_S = np.arange(-28.0, math.log(700.0), 0.1)
+_SHARE_OF_S = np.exp(_LOG_S - np.exp(_LOG_S))
+_SHARE_OF_S /= _SHARE_OF_S.sum()
+# The relative step towards the fixed point C that ends the search, and steps at most.
+_SETTLED = 1e-12
+_MOST_SECANTS = 60
+# The relative change of C whose effect on C tells how errors grow.
+_NUDGE = 1e-4
 
 
-def stationary(contacts: Reduced) -> Moments:
-    """Moments of the lives of annealed contacts at kT > 0. Raises InputError for a
-    discrete law of more than 1000 thresholds."""
-    if contacts.law.steps.size:
-        return _of_steps(contacts)
-    p, (parts, errors) = refined(
-        lambda left, right, _: _integrals(contacts, left, right),
-        _judged,
-        _first_edges(contacts),
-        pieces=_PIECES,
-        most=_MOST_PANELS,
-    )
-    # the rate's own error, from a finer rule in the middle of panels; eightfold, as
-    # that may not be the worst place
-    alive, onward = _alive(p), _onward(parts)
-    seen = alive > _DEAD
-    better = (
-        successful_attempts(contacts, 0.5 * (p.left + p.right)[seen], finer=True)
-        * (p.right - p.left)[seen]
-    )
-    missed = np.abs(2.0 * _Integrals(*p.values).middle[seen] - better)
-    errors[:, seen] += np.minimum(8.0 * missed, 1.0) * onward[:, seen]
-    total, rarest = parts.sum(axis=1), alive[-1] * beyond(contacts)
-    error = errors.sum(axis=1) + _ROUNDING * total + rarest
-    return Moments(*(total + rarest).tolist(), *error.tolist())
+class Ageing(NamedTuple):
+    """Thresholds that age: 4 D x_*/(v x_*f^2) at each velocity, and x_*f/x_*."""
+
+    alpha: Array
+    final: float
+
+
+def annealed_moments(
+    every: Sequence[Reduced], ageing: Ageing | None = None
+) -> list[Moments]:
+    """Moments of lives of annealed contacts, one for each of `every`, which differ in velocity only. Raises
+    InputError for a discrete law of more than 1000 thresholds."""
+    if every[0].law.steps.size:
+        return [_of_steps(contacts) for contacts in every]
+    return [Moments(*row) for row in _Solution(every, ageing).moments().T.tolist()]
+
+
+class _Mixture(NamedTuple):
+    """Gamma laws at nodes of ln x_*, and the Chebyshev coefficients that values there
+    have, shape (nodes, nodes); one law if contacts do not age."""
+
+    laws: list[ThresholdLaw]
+    low: float = 0.0
+    high: float = 0.0
+    coefficients: Array = np.ones((1, 1))
+
+    def weights(self, decay: Array, final: float, lost: int = 0) -> Array:
+        """Weights of the laws in star1, given 4 D C/(v x_*f^2), shape (velocities,
+        laws), also without the highest `lost` coefficients."""
+        if len(self.laws) == 1:
+            return np.ones((decay.size, 1))
+        square = final**2 - (final**2 - 1.0) * np.exp(-decay[:, None] * np.exp(_LOG_S))
+        t = (2.0 * np.log(square) - self.low - self.high) / (self.high - self.low)
+        t = np.clip(t, -1.0, 1.0)
+        before, now, twice = np.ones_like(t), t, 2.0 * t
+        means = np.empty((decay.size, len(self.laws)))
+        for k in range(len(self.laws)):  # of Chebyshev polynomials
+            means[:, k] = before @ _SHARE_OF_S
+            before, now = now, twice * now - before
+        means[:, len(self.laws) - lost :] = 0.0
+        return np.asarray(means @ self.coefficients)
+
+
+def _mixture(law: ThresholdLaw, ageing: Ageing | None) -> _Mixture:
+    if ageing is None or not isinstance(law, Gamma) or not ageing.alpha.any():
+        return _Mixture([law])
+    if ageing.final == 1.0 or np.isinf(ageing.alpha).all():
+        return _Mixture([Gamma(law.n, law.x_star * ageing.final)])
+    low, high = sorted((0.0, 2.0 * math.log(ageing.final)))
+    n = math.ceil(_PER_FOLD * 0.5 * (high - low) * math.sqrt(1.0 + law.n / 2.0))
+    n += _FEWEST
+    t = np.cos(math.pi * (np.arange(n) + 0.5) / n)
+    scales = law.x_star * np.exp(0.25 * (low + high + (high - low) * t))
+    laws: list[ThresholdLaw] = [Gamma(law.n, scale) for scale in scales.tolist()]
+    return _Mixture(laws, low, high, np.linalg.inv(chebyshev.chebvander(t, n - 1)))
 
 
 class _Integrals(NamedTuple):
-    """Integrals over panels of 0 < x < inf, each array of shape (panels,).
+    """What panels add to C and to work, their errors, shapes (2, velocities, panels),
+    and exp(-Delta U) where the last panel begins, shape (velocities,)."""
 
-    Delta U gained inside; with exp(-Delta U) = 1 at the left end, the integrals of E_P
-    and of x exp(-Delta U) E[kappa; xi > x], but for thresholds beyond the panel, for
-    which the latter is `carried`, the integral of x exp(-Delta U), times the sum of
-    `heavier` = int J_c dx/xi_rms of later panels (0 if stiffness is uniform); the
-    highest Chebyshev coefficients of each integrand; and the rate in the middle times
-    half the width.
-    """
+    parts: Array
+    errors: Array
+    alive: Array
 
-    hazard: Array
-    stretch: Array
-    work: Array
-    carried: Array
-    heavier: Array
-    hazard_tail: Array
-    stretch_tail: Array
-    work_tail: Array
-    carried_tail: Array
-    heavier_tail: Array
-    middle: Array
+    @property
+    def total(self) -> Array:
+        """C and work, shape (2, velocities)."""
+        return np.asarray(self.parts.sum(axis=2))
 
 
-def _integrals(contacts: Reduced, left: Array, right: Array) -> Array:
-    """`_Integrals` as rows."""
-    half = 0.5 * (right - left)[:, None]
-    x = left[:, None] + half * (1.0 + ClenshawCurtis.nodes)
-    hazard = half * successful_attempts(contacts, x.ravel()).reshape(x.shape)
-    # where the panel is too wide for its polynomial, that may be negative
-    alive = half * np.exp(-np.maximum(hazard @ ClenshawCurtis.cumulative, 0.0))
-    J = contacts.law.sf(x * contacts.law.scale)
-    stiff, heavier = J, np.zeros_like(J)
-    if contacts.stiffness == "sqrt":  # E[xi; xi > x] = x J + int_x^inf J dy
-        heavier = half * J / contacts.rms
-        inside = heavier @ ClenshawCurtis.weights
-        stiff = x * J / contacts.rms + np.maximum(
-            inside[:, None] - heavier @ ClenshawCurtis.cumulative, 0.0
+class _Solution:
+    """The equation at many velocities."""
+
+    def __init__(self, every: Sequence[Reduced], ageing: Ageing | None) -> None:
+        log_w = [r.barrier.log_w if r.barrier.thermal else -math.inf for r in every]
+        self.attempts = np.exp(log_w)[:, None, None]
+        # the slowest, at which most attempts count
+        self.contacts = contacts = every[int(np.argmax(log_w))]
+        self.mixture = _mixture(contacts.law, ageing)
+        self.ageing = ageing or Ageing(np.zeros(len(every)), 1.0)
+        self.ages, self.settled_on = len(self.mixture.laws) > 1, 0
+        self.stretch = np.full(len(every), contacts.law.mean / contacts.law.scale)
+
+    def moments(self) -> Array:
+        """C, work, and their absolute errors, shape (4, velocities)."""
+        p, of = refined(
+            self.evaluate,
+            self.judge,
+            self.first_edges(),
+            pieces=_PIECES,
+            most=_MOST_IN_X,
         )
-    integrands = np.array([hazard, alive * J, alive * x * stiff, alive * x, heavier])
-    values = np.maximum(integrands @ ClenshawCurtis.weights, 0.0)
-    tails = np.abs(integrands @ ClenshawCurtis.tail).sum(axis=2)
-    return np.vstack((values, tails, hazard[:, hazard.shape[1] // 2]))
+        total = of.total
+        error = of.errors.sum(axis=2) + self.missed_rate(p, of) + _ROUNDING * total
+        grown = np.ones(len(self.stretch))
+        if self.ages:  # an error of C moves births, and these C again
+            fewer = self.integrals(p, self.weights(self.stretch, 2))
+            error += np.abs(total - fewer.total)
+            moved = self.integrals(p, self.weights(self.stretch * math.exp(_NUDGE)))
+            slope = np.log(moved.total[0] / total[0]) / _NUDGE
+            grown = 1.0 / np.maximum(1.0 - slope, 1e-3)
+        if not isinstance(self.mixture.laws[0], Gamma):
+            rarest = beyond(self.contacts)[:, None] * of.alive
+            total, error = total + rarest, error + rarest
+        return np.concatenate((total, grown * error))
 
+    def weights(self, stretch: Array, lost: int = 0) -> Array:
+        """Weights of the mixture's laws at each velocity, given C."""
+        alpha, final = self.ageing
+        return self.mixture.weights(alpha * stretch, final, lost)
 
-def _alive(panels: Panels) -> Array:
-    """exp(-Delta U) at the left end of each panel."""
-    return np.exp(-np.append(0.0, panels.values[0, :-1].cumsum()))
+    def rate(self, law: ThresholdLaw, y: Array, *, finer: bool = False) -> Array:
+        """h(y) of contacts whose thresholds follow another `law`, lengths in units of
+        the scale of `contacts`, whose rms threshold their stiffness is relative to."""
+        contacts, barrier = self.contacts, self.contacts.barrier
+        if not barrier.thermal:
+            return np.zeros(y.size)
+        unit = law.scale / contacts.law.scale
+        b = barrier.b * unit**2
+        if contacts.stiffness == "sqrt":
+            b *= law.rms / contacts.law.rms
+        kind, y, log_w = type(barrier), y / unit, barrier.log_w
+        return pooled_rate(law, contacts.stiffness, kind, b, y, log_w, finer=finer)
+
+    def evaluate(self, left: Array, right: Array, _: Array) -> Array:
+        """h and J_c of each law at the nodes of panels, shape (2, laws, 17, panels)."""
+        x = left + 0.5 * (right - left) * (1.0 + ClenshawCurtis.nodes[:, None])
+        laws, scale = self.mixture.laws, self.contacts.law.scale
+        rates = [self.rate(law, x.ravel()).reshape(x.shape) for law in laws]
+        return np.array([rates, [law.sf(x * scale) for law in laws]])
+
+    def integrals(self, panels: Panels, weights: Array) -> _Integrals:
+        """C = int J_c exp(-Delta U) dx and int x exp(-Delta U) E[kappa; xi > x] dx
+        (nt13; sqrt law: derived)."""
+        rule, h = ClenshawCurtis, 0.5 * (panels.right - panels.left)[:, None]
+        x = panels.left[:, None] + h * (1.0 + rule.nodes)
+        values = np.tensordot(weights, panels.values, axes=(1, 1))
+        rate, J = np.moveaxis(values, (1, 3), (0, 2))  # (velocities, panels, 17)
+        hazard = self.attempts * np.maximum(rate, 0.0) * h
+        gained = np.maximum(hazard @ rule.weights, 0.0)
+        before = np.cumsum(gained, axis=1) - gained
+        # where a panel is too wide for its polynomial, that may be negative
+        inside = np.exp(-np.maximum(hazard @ rule.cumulative, 0.0)) * h
+        alive, stiff = np.exp(-before)[:, :, None], J
+        sqrt_law = self.contacts.stiffness == "sqrt"
+        if sqrt_law:  # E[xi; xi > x] = x J + int_x^inf J dy
+            heavy = J * h
+            later = (heavy @ rule.weights)[:, ::-1].cumsum(axis=1)[:, ::-1]
+            within = np.maximum(later[:, :, None] - heavy @ rule.cumulative, 0.0)
+            stiff = (x * J + within) / self.contacts.rms
+        integrands = np.stack((inside * J, inside * x * stiff)) * alive
+        parts = integrands @ rule.weights
+        errors = np.abs(integrands @ rule.tail).sum(axis=3)
+        errors += np.abs(hazard @ rule.tail).sum(axis=2) * _onward(parts)
+        if sqrt_law:  # heavier thresholds of later panels count in all before
+            lever = np.cumsum((inside * x * alive) @ rule.weights, axis=1)
+            lever /= self.contacts.rms
+            errors[1] += np.abs(heavy @ rule.tail).sum(axis=2) * lever
+        return _Integrals(parts, errors, alive[:, -1, 0])
+
+    def judge(self, panels: Panels) -> tuple[Array, _Integrals]:
+        """Which panels are too rough at any velocity, and their integrals. The fixed
+        point C is found on the first panels, and again when none is too rough."""
+        rough, of = self.too_rough(panels)
+        new = panels.left.size != self.settled_on
+        if self.ages and new and not (self.settled_on and rough.any()):
+            self.settled_on = panels.left.size
+            self.settle(panels)
+            rough, of = self.too_rough(panels)
+        return rough, of
+
+    def too_rough(self, panels: Panels) -> tuple[Array, _Integrals]:
+        """`judge` at the C that is known."""
+        of = self.integrals(panels, self.weights(self.stretch))
+        resolved = _RESOLVED_MIXTURE if self.ages else _RESOLVED
+        rough = (of.errors > resolved * of.total[:, :, None]).any(axis=(0, 1))
+        width = panels.right - panels.left
+        return rough & (width > _NARROWEST_IN_X * panels.right), of
+
+    def settle(self, panels: Panels) -> None:
+        """Find the fixed point C by the secant rule at each velocity."""
+
+        def excess(log_C: Array) -> Array:
+            C = self.integrals(panels, self.weights(np.exp(log_C))).total[0]
+            return np.asarray(np.log(C) - log_C)
+
+        old = np.log(self.stretch)
+        off = excess(old)
+        new = old + off
+        for _ in range(_MOST_SECANTS):
+            fresh = excess(new)
+            if np.max(np.abs(new - old)) < _SETTLED:
+                break
+            with np.errstate(divide="ignore", invalid="ignore"):
+                step = -fresh * (new - old) / (fresh - off)
+            step = np.where(np.isfinite(step) & (np.abs(step) < 2.0), step, fresh)
+            old, off, new = new, fresh, new + step
+        self.stretch = np.exp(new)
+
+    def missed_rate(self, panels: Panels, of: _Integrals) -> Array:
+        """Errors of C and work by those of the pooled rate, from a finer rule in the
+        middle of panels; eightfold, as that may not be the worst place."""
+        middle = 0.5 * (panels.left + panels.right)
+        laws = self.mixture.laws
+        finer = np.array([self.rate(law, middle, finer=True) for law in laws])
+        here = panels.values[0, :, ClenshawCurtis.nodes.size // 2]
+        missed = np.abs(self.weights(self.stretch) @ (finer - here))
+        missed *= self.attempts[:, 0] * (panels.right - panels.left)
+        wrong = np.minimum(8.0 * missed, 1.0) * _onward(of.parts)
+        return np.asarray(wrong.sum(axis=2))
+
+    def first_edges(self) -> Array:
+        """Ends of the first panels: from the shortest lives to where no threshold is
+        left."""
+        law, barrier, laws = self.contacts.law, self.contacts.barrier, self.mixture.laws
+        seen = _MARKS[1::2] if self.ages else _MARKS
+        marks = [end.inverse_survival(seen) for end in (laws[0], laws[-1])]
+        known = np.concatenate((*marks, law.breakpoints)) / law.scale
+        known = known[(known > 0) & np.isfinite(known)]
+        least, greatest = (edge / law.scale for edge in law.support)
+        top = min(greatest, float(known.max()))
+        newborn = float(self.attempts.max()) * float(self.rate(law, np.zeros(1))[0])
+        root = math.sqrt(barrier.b) if barrier.thermal else 0.0
+        first = 0.5 / (1.0 / known.min() + newborn + root)
+        rising = first * _RISE ** np.arange(math.ceil(math.log(top / first, _RISE)))
+        edges = np.unique(np.concatenate(([0.0, least, top], known, rising)))
+        return edges[edges <= top]
 
 
 def _onward(parts: Array) -> Array:
     """Sums over each panel and all later ones."""
-    return parts[:, ::-1].cumsum(axis=1)[:, ::-1]
+    return parts[..., ::-1].cumsum(axis=-1)[..., ::-1]
 
 
-def _judged(panels: Panels) -> tuple[Array, tuple[Array, Array]]:
-    """Which panels are too rough; what each adds to C and work, and to their errors,
-    both of shape (2, panels)."""
-    of, alive = _Integrals(*panels.values), _alive(panels)
-    heavier = np.append(of.heavier[:0:-1].cumsum()[::-1], 0.0)
-    carried = alive * of.carried
-    parts = np.array([alive * of.stretch, alive * of.work + heavier * carried])
-    errors = of.hazard_tail * _onward(parts)
-    errors[0] += alive * of.stretch_tail
-    errors[1] += (
-        alive * (of.work_tail + heavier * of.carried_tail)
-        + of.heavier_tail * carried.cumsum()
-    )
-    rough = (errors > _RESOLVED * parts.sum(axis=1)[:, None]).any(axis=0) & (
-        panels.right - panels.left > _STEP * panels.right
-    )
-    return rough, (parts, errors)
-
-
-def _first_edges(contacts: Reduced) -> Array:
-    """Ends of the first panels: from lives of newborn contacts to where no threshold is
-    left."""
-    law = contacts.law
-    marks = np.append(law.inverse_survival(_LAW), law.breakpoints) / law.scale
-    marks = marks[(marks > 0) & np.isfinite(marks)]
-    top = marks.max()
-    least, greatest = (edge / law.scale for edge in law.support)
-    newborn = successful_attempts(contacts, np.zeros(1))[0]
-    first = 0.3 / (1.0 / marks[0] + newborn + math.sqrt(contacts.barrier.b))
-    rising = first * _RISE ** np.arange(math.ceil(math.log(top / first, _RISE)))
-    edges = np.unique(np.concatenate(([0.0, least, min(greatest, top)], marks, rising)))
-    return edges[edges <= min(greatest, top)]
-
-
-def successful_attempts(contacts: Reduced, y: Array, *, finer: bool = False) -> Array:
-    """(omega/v) h(y) of a smooth law: successful attempts per unit displacement."""
+def successful_attempts(
+    contacts: Reduced, y: Array, *, above: Array | None = None, finer: bool = False
+) -> Array:
+    """(omega/v) h(y), successful attempts per unit displacement, shape (n,). A discrete
+    law has thresholds left of the jump at y if they are greater than `above`, by default
+    y."""
     law, stiffness, barrier = contacts.law, contacts.stiffness, contacts.barrier
     b, log_w = barrier.b, barrier.log_w
-    h = pooled_rate(law, stiffness, type(barrier), b, y, log_w, finer=finer)
-    return math.exp(log_w) * h
+    if not law.steps.size:
+        h = pooled_rate(law, stiffness, type(barrier), b, y, log_w, finer=finer)
+        return math.exp(log_w) * h
+    total, above = np.zeros(y.size), y if above is None else above
+    with np.errstate(divide="ignore"):  # a stiff contact at its threshold
+        for xi, share, kappa in zip(*different_steps(contacts), strict=True):
+            on = above < xi
+            gap = np.maximum(xi - y[on], 0.0)
+            log_rate = barrier.log_attempt(gap, xi + y[on], xi, b * kappa)
+            total[on] += share * np.exp(log_w + log_rate)
+    return total
 
 
-def survivors(contacts: Reduced, x: Array) -> Array:
+def survivors_of_steps(contacts: Reduced, x: Array) -> Array:
     """E_P(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] of a discrete law
     at ascending x > 0, shape (3, n). Raises InputError for more than 1000 thresholds.
     """
@@ -205,12 +355,75 @@ def _of_steps(contacts: Reduced) -> Moments:
     edge = panels_between_steps(contacts)
 
     def integrate(order: int) -> Array:
-        nodes, weights = gauss_legendre(order)
-        half = 0.5 * np.diff(edge)[:, None]
-        x = (edge[:-1, None] + half * (1.0 + nodes)).ravel()
-        survive, stiff, _ = survivors(contacts, x)
-        return (half * weights).ravel() @ np.stack((survive, stiff * x), axis=1)
+        x, weights = gauss_legendre(order).between(edge[:-1], edge[1:])
+        survive, stiff, _ = survivors_of_steps(contacts, x.ravel())
+        return weights.ravel() @ np.stack((survive, stiff * x.ravel()), axis=1)
 
     fine, coarse = integrate(8), integrate(5)
-    error = np.abs(fine - coarse) + 1e-11 * fine
-    return Moments(fine[0], fine[1], error[0], error[1])
+    return Moments(*fine, *(np.abs(fine - coarse) + _ROUNDING * fine))
+
+
+class PooledPolynomials:
+    """(omega/v) h(x) of annealed contacts at x >= 0 as Chebyshev polynomials, and its
+    integral (omega/v) G."""
+
+    def __init__(self, contacts: Reduced) -> None:
+        law, unit = contacts.law, contacts.law.scale
+        edges = np.append(0.0, np.unique(law.steps) / unit)
+        if not law.steps.size:
+            top = np.asarray(law.inverse_survival(_MARKS))
+            edges = np.concatenate(([0.0, law.support[0]], top, law.kinks)) / unit
+            edges = np.unique(edges[edges * unit <= min(law.support[1], top[-1])])
+
+        def evaluate(left: Array, right: Array, _: Array) -> Array:
+            half = 0.5 * (right - left)
+            x = left + half * (1.0 + ClenshawCurtis.nodes[:, None])
+            above = np.broadcast_to(left + half, x.shape)
+            rate = successful_attempts(contacts, x.ravel(), above=above.ravel())
+            return rate.reshape(x.shape)
+
+        def judge(panels: Panels) -> tuple[Array, None]:
+            width = panels.right - panels.left
+            rough = np.abs(ClenshawCurtis.tail.T @ panels.values).sum(axis=0) * width
+            total = (ClenshawCurtis.weights @ panels.values * width).cumsum()
+            # what counts is how well hazards are known, of all before it and of a life
+            seen = np.minimum(_RESOLVED * np.maximum(total, 1.0), 1e-9)
+            rough = rough > np.maximum(seen, _RESOLVED * total[-1] * 1e-3)
+            return rough & (width > 1e-13 * panels.right), None
+
+        p, _ = refined(evaluate, judge, edges, pieces=_PIECES, most=_MOST_IN_X)
+        self.edges = np.append(p.left, p.right[-1])
+        self._half = 0.5 * (p.right - p.left)
+        self._coefficients = ClenshawCurtis.coefficients @ p.values
+        self._integrals = chebyshev.chebint(self._coefficients, lbnd=-1) * self._half
+        passed = (ClenshawCurtis.weights @ p.values * self._half).cumsum()
+        self._sums = np.append(0.0, passed)
+
+    def _evaluated(self, coefficients: Array, x: Array) -> tuple[Array, Array]:
+        """Polynomials with `coefficients` (17, panels) at x, and the panels of x."""
+        panel = np.searchsorted(self.edges, x, side="right") - 1
+        panel = np.clip(panel, 0, self._half.size - 1)
+        t = np.clip((x - self.edges[panel]) / self._half[panel] - 1.0, -1.0, 1.0)
+        return chebyshev.chebval(t, coefficients[:, panel], tensor=False), panel
+
+    def __call__(self, x: Array) -> Array:
+        """(omega/v) h at x >= 0 of any shape."""
+        found, _ = self._evaluated(self._coefficients, x)
+        return np.where(x > self.edges[-1], 0.0, np.maximum(found, 0.0))
+
+    def integral(self, x: Array) -> Array:
+        """(omega/v) G at x >= 0 of any shape, small or not to about as many digits."""
+        found, panel = self._evaluated(self._integrals, x)
+        found, first = np.asarray(self._sums[panel] + found), np.asarray(panel == 0)
+        low = np.asarray(x)[first]
+        nodes, weights = gauss_legendre(9).between(0.0 * low, low)
+        found[first] = (weights * self(nodes)).sum(axis=-1)
+        return found
+
+
+# It takes 1 to 10 ms, and a transient asks for it 60 times; ensembles are solved one
+# after another.
+@functools.lru_cache(maxsize=8)
+def pooled_polynomials(contacts: Reduced) -> PooledPolynomials:
+    """Cached pooled rate of an ensemble."""
+    return PooledPolynomials(contacts)

@@ -15,13 +15,13 @@ import numpy as np
 
 from eqsim.errors import InputError
 from eqsim.estimate import known
-from eqsim.laws.barrier.pooled import NO_POOL, pooled_hazard_of, pooled_rate
-from eqsim.master import annealed, quenched
+from eqsim.master.annealed import pooled_polynomials, successful_attempts
+from eqsim.master.quenched import kappa_of, survival
 from eqsim.master.steady import reference
+from eqsim.master.survivors import survivors
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, reduced
-from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
 _AT_ONCE = 2048  # stretches, to bound the memory of a call
@@ -79,12 +79,9 @@ class StationaryState:
         s, u = self._reduced, self._lengths("x", x)
         if s.annealed and not s.law.steps.size:
             return self.E_P(x) / self.C
-        survivors = annealed.survivors if s.annealed else quenched.survivors_at
         ascending, back = np.unique(np.maximum(u, _LEAST), return_inverse=True)
-        return np.asarray(
-            _in_parts(lambda x: survivors(s, x)[0], ascending)[back].reshape(u.shape)
-            / self.C
-        )
+        alive = _in_parts(lambda x: survivors(s, x)[0, 0], ascending)[back]
+        return np.asarray(alive.reshape(u.shape) / self.C)
 
     def joint_density(self, x: Any, xi: Any) -> Array:
         """Density of pinned contacts in stretch x and own threshold xi > 0, 1/length^2:
@@ -96,9 +93,7 @@ class StationaryState:
         if s.annealed:
             survive = np.where(u < threshold, np.exp(-self.dU(x)), 0.0)
         else:
-            survive = quenched.survival(
-                s.barrier, u, threshold, quenched.kappa_of(s, threshold)
-            )
+            survive = survival(s.barrier, u, threshold, kappa_of(s, threshold))
         return np.asarray(s.law.pdf(threshold * s.law.scale) * survive / self.C)
 
     def P(self, x: Any) -> Array:
@@ -122,21 +117,17 @@ class StationaryState:
     def H(self, x: Any) -> Array:
         """Thermal breaking per unit displacement, (omega/v) h, 1/length (temper11,
         temper12)."""
-        s = self._published()
-        return np.asarray(
-            self._rate(self._lengths("x", x)) * np.exp(s.barrier.log_w) / s.law.scale
-        )
+        s, u = self._published(), np.maximum(self._lengths("x", x), _LEAST)
+        if not s.barrier.thermal:
+            return np.zeros_like(u)
+        found = _in_parts(lambda y: successful_attempts(s, y), u)
+        return np.asarray(found.reshape(u.shape) / s.law.scale)
 
     def dU(self, x: Any) -> Array:
         """Delta U(x) = int_0^x H (nt09 for any law)."""
-        s, u, pool = self._published(), self._lengths("x", x), NO_POOL
-        if s.barrier.thermal:
-            pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b)  # type: ignore[arg-type]
-        knot = np.searchsorted(pool.x, u, side="right")
-        low, G = np.append(0.0, pool.x)[knot], np.append(0.0, pool.G)[knot]
-        nodes, weights = gauss_legendre(3).between(low, u)  # from the knot below
-        G = G + (weights * self._rate(nodes)).sum(axis=-1)
-        return np.asarray(np.exp(s.barrier.log_w) * G)
+        s, u = self._published(), self._lengths("x", x)
+        thermal = s.barrier.thermal
+        return pooled_polynomials(s).integral(u) if thermal else np.zeros_like(u)
 
     def E_P(self, x: Any) -> Array:
         """P(x_b > x) = J_c exp(-dU) (above nt13)."""
@@ -164,18 +155,6 @@ class StationaryState:
                 'disorder = "quenched": the published functions describe "annealed" contacts (or kT = 0)'
             )
         return self._smooth()
-
-    def _rate(self, u: Array) -> Array:
-        """h, lengths in units of the law's scale."""
-        s = self._reduced
-        if not s.barrier.thermal:
-            return np.zeros_like(u)
-        law = type(s.barrier)
-        h = _in_parts(
-            lambda y: pooled_rate(s.law, s.stiffness, law, s.barrier.b, y),
-            np.maximum(u, _LEAST),
-        )
-        return h.reshape(u.shape)
 
 
 def _in_parts(function: Callable[[Array], Array], x: Array) -> Array:

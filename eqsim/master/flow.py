@@ -25,29 +25,22 @@ panels of the path are found by refinement.
 """
 
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from scipy import special
 
 from eqsim.master.quenched import (
     Moments,
     beyond,
-    births_above,
     different_steps,
     ends,
     kappa_of,
     over_births,
-    rarest_that_counts,
-    weakest,
 )
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
 from eqsim.numerics.tables import Array
-
-METHOD = "joint kinetic equation along flowing thresholds"
 
 # The first panels of a path, in phi. Nodes hold both ends of a panel, where the rate is
 # greatest, so that no peak of it can be missed.
@@ -64,22 +57,20 @@ _DEAD = 1e-45
 # The shortest stretch that matters.
 _SHORTEST = 1e-100
 # The relative error that ends refinement over births.
-_CONVERGED = 1e-11
+_CONVERGED_BIRTHS = 1e-11
 # The narrowest panel of births.
-_NARROWEST = 1e-3
+_NARROWEST_BIRTHS = 1e-3
 # The least relative error that is quoted.
-_ROUNDING = 1e-12
+_ROUNDED_PATHS = 1e-12
 
 # The step of the trapezoidal rule of a hazard, and the share of it that truncation may
 # miss.
 _STEP = 0.45
 _UNSEEN = 1e-12
-# Levels of the hazard where panels end, and depths of the path where these are sought.
-_LEVELS = np.array(
-    [3.5, 2.75, 2.0, 1.25, 0.5, -0.5, -1.5, -3.0, -6.0, -12.0, -20.0]
-)  # of ln((omega/v) H)
-_DEPTHS = np.append(2.0 ** np.arange(-50.0, -5.0), np.arange(1, 33) / 32)
-_NODES, _WEIGHTS = special.roots_legendre(8)
+# Numbers of nodes on either side are multiples of this one.
+_NODES_APART = 16
+# Rates that are found at once, to bound memory.
+_AT_ONCE = 300_000
 
 
 def kappa_along(contacts: Reduced, xi0: Array, xi: Array) -> Array:
@@ -164,7 +155,7 @@ def _integrals(
     )
 
 
-def life_moments(contacts: Reduced, xi0: Array) -> tuple[Array, Array]:
+def path_moments(contacts: Reduced, xi0: Array) -> tuple[Array, Array]:
     """Moments of lives along paths.
 
     Parameters
@@ -184,7 +175,7 @@ def life_moments(contacts: Reduced, xi0: Array) -> tuple[Array, Array]:
 def _resolved(
     contacts: Reduced, xi0: Array, end: Array
 ) -> tuple[Panels, tuple[Array, Array]]:
-    """The panels of paths from births `xi0` to `end`, (n,), and what `life_moments`
+    """The panels of paths from births `xi0` to `end`, (n,), and what `path_moments`
     returns.
 
     Panels are split until the highest coefficients of the hazard, times the life that
@@ -228,144 +219,40 @@ def _resolved(
     )
 
 
-def stationary(contacts: Reduced) -> Moments:
+def moments_along_paths(contacts: Reduced) -> Moments:
     """Moments of the lives of quenched contacts that age in a known way (derived); the
     errors are what is left unresolved along paths and across births."""
     if contacts.law.steps.size:
         xi0, share, _ = different_steps(contacts)
-        total, error = (part @ share for part in life_moments(contacts, xi0))
+        total, error = (part @ share for part in path_moments(contacts, xi0))
     else:
         total, error = over_births(
             contacts.law,
-            lambda xi0: life_moments(contacts, xi0),
-            _CONVERGED,
-            _NARROWEST,
+            lambda xi0: path_moments(contacts, xi0),
+            _CONVERGED_BIRTHS,
+            _NARROWEST_BIRTHS,
         )
         rarest = beyond(contacts)
         total, error = total + rarest, error + rarest
-    return Moments(*total.tolist(), *(error + _ROUNDING * total).tolist())
+    return Moments(*total.tolist(), *(error + _ROUNDED_PATHS * total).tolist())
 
 
-def survivors(contacts: Reduced, x: Array) -> Array:
-    """S(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] at x > 0, shape (3,
-    n), kappa now."""
-    if not contacts.law.steps.size:
-        return _survivors_of_density(contacts, x)
-    total, grown = np.zeros((3, x.size)), contacts.aging.growth_at(x)
-    xi0, shares, _ = different_steps(contacts)
-    for xi, share, alive in zip(xi0, shares, _survivals(contacts, xi0, x), strict=True):
-        total += (
-            share
-            * kappa_along(contacts, np.full(x.size, xi), xi * grown)
-            ** np.arange(3)[:, None]
-            * alive
-        )
-    return total
-
-
-def _survivals(contacts: Reduced, xi0: Array, x: Array) -> Iterator[Array]:
-    """S(x|xi0) at x > 0 of each of some births, from the polynomials of the hazard in
-    the panels of its path."""
-    end = ends(contacts, xi0)
-    p, _ = _resolved(contacts, xi0, end)
-    _, width, per_x = _on_path(
-        contacts, xi0[p.interval], end[p.interval], p.left, p.right
-    )
-    hazards = chebyshev.chebint(
-        ClenshawCurtis.coefficients @ (per_x * width).T, lbnd=-1
-    )
-    for i in range(xi0.size):
-        mine, inside = p.interval == i, x < end[i]
-        left, right, hazard = p.left[mine], p.right[mine], hazards[:, mine]
-        before = np.append(
-            0.0, np.cumsum(hazard.sum(axis=0))
-        )  # at 1 every Chebyshev polynomial is 1
-        phi = np.arcsin(np.sqrt(x[inside] / end[i]))
-        panel = np.clip(np.searchsorted(left, phi, side="right") - 1, 0, left.size - 1)
-        t = np.clip(
-            (2 * phi - left[panel] - right[panel]) / (right[panel] - left[panel]),
-            -1.0,
-            1.0,
-        )
-        spent = before[panel] + chebyshev.chebval(t, hazard[:, panel], tensor=False)
-        alive = np.zeros(x.size)
-        alive[inside] = np.exp(-np.maximum(spent, 0.0))
-        yield alive
-
-
-def _survivors_of_density(contacts: Reduced, x: Array) -> Array:
-    """`survivors` of a smooth law, over births xi0 > x/s(x), by panels
-    that end at fixed shares of the stronger contacts and where the hazard passes fixed
-    levels."""
-    law, grown = contacts.law, contacts.aging.growth_at(x)
-    least = x / grown
-    layer = weakest(law) + np.zeros((x.size, 1))
-    if contacts.barrier.thermal:
-        layer = np.concatenate((layer, _births_at(contacts, x, least)), axis=1)
-    edges = births_above(law, least, layer, rarest_that_counts(contacts.barrier))
-    half = 0.5 * np.diff(edges, axis=1)[:, :, None]
-    xi0 = (edges[:, :-1, None] + half * (1 + _NODES)).reshape(x.size, -1)
-    with np.errstate(invalid="ignore"):
-        weight = (
-            (half * _WEIGHTS).reshape(x.size, -1) * law.pdf(xi0 * law.scale) * law.scale
-        )
-        weight *= np.exp(-_hazard(contacts, x, xi0))
-    weight = np.where(np.isfinite(weight), weight, 0.0)
-    kappa = kappa_along(contacts, xi0, xi0 * grown[:, None])
-    return np.array([(weight * kappa**power).sum(axis=1) for power in range(3)])
-
-
-def _hazard(contacts: Reduced, x: Array, xi0: Array) -> Array:
-    """(omega/v) int_0^x r dy along the paths of births `xi0`, shape (n, any), to
-    stretches x (n,).
+def hazard_along(contacts: Reduced, x: Array, xi0: Array) -> Array:
+    """(omega/v) int_0^x r dy along the paths of births `xi0` to stretches x, arrays of
+    one shape.
 
     ln r may be steep at either end: the trapezoidal rule in ln(y/(x - y)) converges
     exponentially whatever the slopes, with as many nodes as it takes to leave out a
     hazard of 1e-12.
     """
-    found = np.zeros(xi0.shape)
-    if not contacts.barrier.thermal:
-        return found
-    reach = contacts.barrier.log_w + np.log(x) - math.log(_UNSEEN)
-    for i in np.flatnonzero(reach > 0):
-        u = _STEP * np.arange(
-            -math.ceil(reach[i] / _STEP), math.ceil(reach[i] / _STEP) + 1
-        )
-        y = x[i] * special.expit(u)
-        found[i] = rate(contacts, y, xi0[i, :, None]) @ (_STEP * y * special.expit(-u))
-    return found
-
-
-def _births_at(contacts: Reduced, x: Array, least: Array) -> Array:
-    """Roughly the birth whose hazard at x passes each level, shape (n, levels): only
-    panels depend on it."""
-    rarest = max(60.0, rarest_that_counts(contacts.barrier))
-    beyond = (
-        np.maximum(
-            float(contacts.law.inverse_survival(rarest)) / contacts.law.scale - least,
-            1e-3 * least,
-        )[:, None]
-        * _DEPTHS
-    )
-    with np.errstate(divide="ignore"):
-        log_hazard = np.log(_hazard(contacts, x, least[:, None] + beyond))
-        for _ in range(2):
-            # stronger contacts are safer; where attempts hardly need energy that may
-            # fail, but there nothing is steep
-            falling = np.maximum(np.minimum.accumulate(log_hazard, axis=1), -1e3)
-            found = np.array(
-                [
-                    np.interp(-_LEVELS, -h, d)
-                    for h, d in zip(falling, beyond, strict=True)
-                ]
-            )
-            beyond = np.concatenate((beyond, found), axis=1)
-            log_hazard = np.concatenate(
-                (log_hazard, np.log(_hazard(contacts, x, least[:, None] + found))),
-                axis=1,
-            )
-            order = np.argsort(beyond, axis=1)
-            beyond, log_hazard = (
-                np.take_along_axis(part, order, axis=1) for part in (beyond, log_hazard)
-            )
-    return least[:, None] + found
+    x_flat = np.maximum(x.ravel(), _SHORTEST)
+    found, reach = np.zeros(x.size), contacts.barrier.log_w + np.log(x_flat)
+    nodes = np.ceil((reach - math.log(_UNSEEN)) / _STEP / _NODES_APART)
+    for many in np.unique(nodes[nodes > 0]):
+        u = _STEP * np.arange(-many * _NODES_APART, many * _NODES_APART + 1)
+        alike = np.flatnonzero(nodes == many)
+        for part in np.array_split(alike, math.ceil(alike.size * u.size / _AT_ONCE)):
+            y = x_flat[part, None] * special.expit(u)
+            per_u = rate(contacts, y, xi0.ravel()[part, None]) * y
+            found[part] = per_u @ (_STEP * special.expit(-u))
+    return found.reshape(x.shape)

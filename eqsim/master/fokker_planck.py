@@ -44,8 +44,6 @@ from eqsim.model.reduced import Reduced
 from eqsim.numerics.quadrature import extrapolated, largest_nearby
 from eqsim.numerics.tables import Array
 
-METHOD = "Fokker-Planck equation"
-
 # ESDIRK4(3)6L[2]SA of Kennedy and Carpenter (2003): the implicit part of
 # ARK4(3)6L[2]SA; last row = weights
 _C = np.array([0.0, 1 / 2, 83 / 250, 31 / 50, 17 / 20, 1.0])
@@ -121,22 +119,22 @@ class Survival(NamedTuple):
     work_error: float
 
 
-def stationary(contacts: Reduced) -> Moments:
+def fluctuating_moments(contacts: Reduced) -> Moments:
     """Moments of the lives of quenched contacts whose thresholds fluctuate."""
-    found = survival(contacts)
+    found = survival_of_fluctuating(contacts)
     return Moments(found.stretch, found.work, found.stretch_error, found.work_error)
 
 
-def survivors(contacts: Reduced, x: Array) -> Array:
+def fluctuating_survivors(contacts: Reduced, x: Array) -> Array:
     """The `values` of `Survival` at x > 0, shape (3, n)."""
-    found = survival(contacts)
+    found = survival_of_fluctuating(contacts)
     values = CubicSpline(np.log(found.x[1:]), found.values[:, 1:], axis=1)
     return np.where(
         x > found.x[-1], 0.0, values(np.log(np.clip(x, found.x[1], found.x[-1])))
     )
 
 
-def survival(contacts: Reduced) -> Survival:
+def survival_of_fluctuating(contacts: Reduced) -> Survival:
     """The life of a contact whose threshold fluctuates and ages (derived; eq. `L` for
     the unbroken law), remembered: the solution takes a second. A mobility D_v below
     1e-12 counts as 1e-12."""

@@ -1,24 +1,19 @@
-"""A life in the mean: who survives to a stretch, how stiff these contacts are, and
+"""A life in the mean: how many contacts survive to a stretch, how stiff these are, and
 integrals over both."""
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from eqsim.laws.aging import Langevin, Unaged
+from eqsim.laws.aging import Langevin
 from eqsim.laws.newborn import DeltaBirths
-from eqsim.master import (
-    annealed,
-    flow,
-    fokker_planck,
-    newborn,
-    newborn_lives,
-    quenched,
-)
-from eqsim.master.solvers import solver
+from eqsim.master.fokker_planck import survival_of_fluctuating
+from eqsim.master.newborn import law_of_births
+from eqsim.master.quenched import ends, panels_between_steps, rarest_that_counts
+from eqsim.master.solvers import moments_of
+from eqsim.master.survivors import kinks_of_survival, longest_travel, survivors
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
 from eqsim.numerics.quadrature import gauss_legendre
@@ -44,14 +39,9 @@ _LONGEST_PANEL = 2.0
 _NARROWEST = 1e-9
 # Panels beyond which none is split any more, where a solver's noise keeps coefficients
 # from falling.
-_MOST_PANELS = 600
+_MOST_LIFE_PANELS = 600
 # Nodes of a panel lie within it, not across a jump.
 _WITHIN = 1.0 - 1e-9
-_POWERS = np.arange(3)[:, None, None]
-
-# Travels x > 0, shape (n,), to E[z^i kappa^j; l > x], i and j from 0 to 2, shape (3, 3,
-# n).
-_Means = Callable[[Array], Array]
 
 
 class Profile(Protocol):
@@ -86,7 +76,7 @@ def profile_of(contacts: Reduced, x: Array | None = None) -> Profile:
 
     Parameters
     ----------
-    s : Reduced
+    contacts : Reduced
     x : ndarray, optional
         Every stretch at which integrals will be asked for; only discrete laws, with
         their jumps, need to know.
@@ -97,27 +87,21 @@ def profile_of(contacts: Reduced, x: Array | None = None) -> Profile:
         Where a solver refuses the contacts.
     """
     stepped = contacts.law.steps.size > 0 and not contacts.newborn.active
-    profile: Profile = (
-        _Steps(contacts, np.empty(0) if x is None else x)
-        if stepped
-        else SmoothLife(contacts)
+    known = np.empty(0) if x is None else x
+    profile: Profile = _Steps(contacts, known) if stepped else SmoothLife(contacts)
+    # moments by another quadrature: what this one misses is part of the error
+    (exact,) = moments_of([contacts])
+    stretch, work, square = (
+        float(profile.integral(np.array([1e90]), power)[power, 0]) for power in range(3)
     )
-    # C and work by another quadrature: what this one misses is part of the error
-    exact = solver(contacts).stationary(contacts)
-    stretch, work = (
-        float(profile.integral(np.array([1e90]), power)[power, 0]) for power in (0, 1)
-    )
-    stretch_error = (abs(stretch - exact.stretch) + exact.stretch_error) / exact.stretch
-    size, square_error = abs(exact.work), 0.0
-    if exact.square is not None:
+    misses = [(abs(stretch - exact.stretch) + exact.stretch_error) / exact.stretch]
+    size = abs(exact.work)
+    if not math.isnan(exact.square):
         size = max(size, 1e-3 * math.sqrt(exact.stretch * exact.square))
-        square = float(profile.integral(np.array([1e90]), 2)[2, 0])
-        square_error = (abs(square - exact.square) + exact.square_error) / exact.square
-    work_error = (abs(work - exact.work) + exact.work_error) / size
+        misses.append((abs(square - exact.square) + exact.square_error) / exact.square)
+    misses.append((abs(work - exact.work) + exact.work_error) / size)
     # at some travels it may miss more than in the mean over them
-    profile.error = max(
-        profile.error, _WORST * max(stretch_error, work_error, square_error)
-    )
+    profile.error = max(profile.error, _WORST * max(misses))
     return profile
 
 
@@ -128,73 +112,40 @@ class _Steps:
 
     def __init__(self, contacts: Reduced, x: Array) -> None:
         # without heat and aging nothing changes between jumps
-        exact = isinstance(contacts.aging, Unaged) and not contacts.barrier.thermal
+        exact = contacts.aging.closed and not contacts.barrier.thermal
         self.error = _ROUNDED if exact else _BETWEEN_JUMPS
-        self._reduced, self.x = (
-            contacts,
-            np.unique(np.append(quenched.panels_between_steps(contacts), x[x > 0])),
-        )
-        nodes, weights = gauss_legendre(6)
+        self._reduced = contacts
+        self.x = np.unique(np.append(panels_between_steps(contacts), x[x > 0]))
         edge = np.append(0.0, self.x)
-        half = 0.5 * np.diff(edge)[:, None]
-        inner = edge[:-1, None] + half * (1 + nodes)
-        values = self.at(inner.ravel()).reshape(3, *inner.shape)
-        self._sums = [
-            (values * inner**power * half * weights).sum(axis=2).cumsum(axis=1)
-            for power in range(3)
-        ]
+        inner, weights = gauss_legendre(6).between(edge[:-1], edge[1:])
+        values = survivors(contacts, inner.ravel()).reshape(3, 3, *inner.shape)
+        self._sums = (values * weights).sum(axis=3).cumsum(axis=2)
         self.survive = self.at(self.x)[0]
 
     def at(self, x: Array, power: int = 0) -> Array:
-        contacts = self._reduced
-        survivors = annealed.survivors if contacts.annealed else _quenched(contacts)
-        return np.asarray(survivors(contacts, x) * x**power)
+        return survivors(self._reduced, x)[power]
 
     def integral(self, x: Array, power: int) -> Array:
         index = np.searchsorted(self.x, np.minimum(x, self.x[-1]))
-        return np.where(
-            x > 0, self._sums[power][:, np.minimum(index, self.x.size - 1)], 0.0
-        )
-
-
-def _means_of(contacts: Reduced) -> _Means:
-    if contacts.newborn.active:
-        return lambda x: newborn_lives.survivors(contacts, x)
-    if contacts.annealed:
-        return lambda x: newborn_lives.published(contacts, np.zeros(x.size), x)
-    if isinstance(contacts.aging, Langevin):
-        return lambda x: x**_POWERS * fokker_planck.survivors(contacts, x)
-    survivors = _quenched(contacts)
-    return lambda x: x**_POWERS * survivors(contacts, x)
-
-
-def _quenched(contacts: Reduced) -> Callable[[Reduced, Array], Array]:
-    unaged = isinstance(contacts.aging, Unaged)
-    return quenched.survivors_at if unaged else flow.survivors
+        sums = self._sums[power][:, np.minimum(index, self.x.size - 1)]
+        return np.where(x > 0, sums, 0.0)
 
 
 def _first_edges(contacts: Reduced) -> Array:
     """Ascending ln x, at the kinks of survival besides: from where hardly a contact has
     broken, as no rate exceeds omega, to where hardly a contact is left."""
+    law, barrier = contacts.law, contacts.barrier
     if contacts.newborn.active:
-        top, kinks = newborn_lives.longest(contacts), newborn_lives.kinks(contacts)
+        top, kinks = longest_travel(contacts), kinks_of_survival(contacts)
     else:
-        rarest = float(
-            contacts.law.inverse_survival(quenched.rarest_that_counts(contacts.barrier))
-        )
-        top, kinks = (
-            contacts.aging.bracket(rarest / contacts.law.scale)[1],
-            quenched.ends(contacts, contacts.law.kinks / contacts.law.scale),
-        )
+        rarest = float(law.inverse_survival(rarest_that_counts(barrier))) / law.scale
+        top = contacts.aging.bracket(rarest)[1]
+        kinks = ends(contacts, law.kinks / law.scale)
     last, inner = math.log(top), np.log(kinks)
-    first = -max(
-        math.log(1e15),
-        (contacts.barrier.log_w if contacts.barrier.thermal else 0.0) + math.log(1e7),
-    )
-    edges = np.arange(last, min(first, last - _LONGEST_PANEL), -_LONGEST_PANEL)[::-1]
-    return np.unique(
-        np.concatenate((edges, inner[(inner > edges[0]) & (inner < last)]))
-    )
+    attempts = barrier.log_w if barrier.thermal else 0.0
+    first = -max(math.log(1e15), attempts + math.log(1e7))
+    edges = np.arange(last, min(first, last - _LONGEST_PANEL), -_LONGEST_PANEL)
+    return np.union1d(edges, inner[(inner > edges[-1]) & (inner < last)])
 
 
 class Slope(NamedTuple):
@@ -216,84 +167,58 @@ class SmoothLife:
         self.jumps = (
             contacts.newborn.active
             and contacts.law.steps.size > 0
-            and isinstance(newborn.births_of(contacts), DeltaBirths)
+            and isinstance(law_of_births(contacts), DeltaBirths)
         )
         fluctuating = isinstance(contacts.aging, Langevin)
         smooth = _COARSE_SPLINE if fluctuating else _SMOOTH
-        means = _means_of(contacts)
+        nodes, tail = ClenshawCurtis.nodes[:, None] * _WITHIN, ClenshawCurtis.tail.T
 
         def evaluate(left: Array, right: Array, _: Array) -> Array:
-            nodes = ClenshawCurtis.nodes[:, None] * _WITHIN
             x = np.exp(0.5 * (left + right) + 0.5 * (right - left) * nodes)
-            values = means(x.ravel()).reshape(9, *x.shape)
+            values = survivors(contacts, x.ravel()).reshape(9, *x.shape)
             return np.concatenate((values, values * x))
 
         def judge(panels: Panels) -> tuple[Array, None]:
             most = np.abs(panels.values).max(axis=(1, 2))[:, None]
-            rough = np.abs(
-                np.tensordot(ClenshawCurtis.tail.T, panels.values, (1, 1))
-            ).sum(axis=0)
-            return (rough > smooth * most).any(axis=0) & (
-                panels.right - panels.left > _NARROWEST
-            ), None
+            rough = np.abs(np.tensordot(tail, panels.values, (1, 1))).sum(axis=0)
+            wide = panels.right - panels.left > _NARROWEST
+            return (rough > smooth * most).any(axis=0) & wide, None
 
-        p, _ = refined(evaluate, judge, _first_edges(contacts), most=_MOST_PANELS)
+        p, _ = refined(evaluate, judge, _first_edges(contacts), most=_MOST_LIFE_PANELS)
         self._edges = np.append(p.left, p.right[-1])
         self._half = 0.5 * (p.right - p.left)
-        values, moments = np.split(
-            np.tensordot(ClenshawCurtis.coefficients, p.values, (1, 1)), 2, axis=1
-        )
-        self._values = values
+        coefficients = np.tensordot(ClenshawCurtis.coefficients, p.values, (1, 1))
+        self._values, moments = np.split(coefficients, 2, axis=1)
         self._integrals = chebyshev.chebint(moments, lbnd=-1, axis=0) * self._half
-        self._sums = np.concatenate(
-            (np.zeros((9, 1)), self._integrals.sum(axis=0).cumsum(axis=1)), axis=1
-        )
-        self._first = math.exp(self._edges[0])
+        sums = self._integrals.sum(axis=0).cumsum(axis=1)
+        self._sums = np.concatenate((np.zeros((9, 1)), sums), axis=1)
+        self._first, self._last = math.exp(p.left[0]), math.exp(p.right[-1])
         self._start = p.values[:9, 0, 0]
-        nodes = (
-            0.5 * (p.left + p.right)
-            + self._half * ClenshawCurtis.nodes[:, None] * _WITHIN
-        )
-        self.x = np.exp(nodes.T.ravel())
+        self.x = np.exp((0.5 * (p.left + p.right) + self._half * nodes).T.ravel())
         self.survive = np.minimum.accumulate(np.clip(p.values[0].T.ravel(), 0.0, 1.0))
-        missed = (
-            np.abs(np.tensordot(ClenshawCurtis.tail.T, p.values[9:], (1, 1))).sum(
-                axis=0
-            )
-            * self._half
-        )
+        missed = np.abs(np.tensordot(tail, p.values[9:], (1, 1))).sum(axis=0)
         total = np.abs(self._sums[:, -1])
-        squares = np.array(
-            [0, 4, 8]
-        )  # of S, of the mean force, of the mean square of the force
-        self.error = (
-            float(
-                (
-                    missed.sum(axis=1)[squares]
-                    / np.maximum(total[squares], 1e-3 * total[0])
-                ).max()
-            )
-            + smooth
-        )
+        least = np.maximum(total, 1e-3 * total[0])
+        # of S, of the mean force, of the mean square of the force
+        worst = ((missed @ self._half) / least)[[0, 4, 8]].max()
+        self.error = float(worst) + smooth
         if fluctuating:
-            self.error += float(fokker_planck.survival(contacts).errors[0].max())
+            errors = survival_of_fluctuating(contacts).errors
+            self.error += float(errors[0].max())
 
     def _evaluated(self, coefficients: Array, x: Array) -> tuple[Array, Array]:
         """Polynomials with `coefficients` (17, 3, panels) at x, shape (3, n), and the
         panels that x are in."""
-        log_x = np.log(np.clip(x, self._first, math.exp(self._edges[-1])))
-        panel = np.clip(
-            np.searchsorted(self._edges, log_x, side="right") - 1,
-            0,
-            self._half.size - 1,
-        )
+        log_x = np.log(np.clip(x, self._first, self._last))
+        panel = np.searchsorted(self._edges, log_x, side="right") - 1
+        panel = np.clip(panel, 0, self._half.size - 1)
         t = np.clip((log_x - self._edges[panel]) / self._half[panel] - 1.0, -1.0, 1.0)
         order = np.argsort(panel, kind="stable")
         powers = chebyshev.chebvander(t[order], coefficients.shape[0] - 1)
-        ends = np.searchsorted(panel[order], np.arange(self._half.size + 1))
+        last = np.searchsorted(panel[order], np.arange(self._half.size + 1))
         found = np.empty((x.size, 3))
-        for i in np.flatnonzero(np.diff(ends)):
-            rows = slice(ends[i], ends[i + 1])
+        for i in np.flatnonzero(np.diff(last)):
+            rows = slice(last[i], last[i + 1])
             found[order[rows]] = powers[rows] @ coefficients[:, :, i]
         return found.T, panel
 
@@ -301,22 +226,19 @@ class SmoothLife:
         """Derivatives of `at` with respect to x > 0, at a kink that of the panel to its
         right."""
         values = self._values[:, 3 * power : 3 * power + 3]
-        highest = np.where(
-            np.arange(values.shape[0])[:, None, None] >= values.shape[0] - 2,
-            values,
-            0.0,
-        )
-        derivatives = []
+        highest = values.copy()
+        highest[:-2] = 0.0
+        found = []
         for part in (values, highest):
             coefficients = np.zeros_like(values)
             coefficients[:-1] = chebyshev.chebder(part, axis=0) / self._half
-            found, panel = self._evaluated(coefficients, x)
-            derivatives.append(np.where(x < math.exp(self._edges[-1]), found / x, 0.0))
-        return Slope(derivatives[0], np.abs(derivatives[1]), 2.0 * self._half[panel])
+            per_log_x, panel = self._evaluated(coefficients, x)
+            found.append(np.where(x < self._last, per_log_x / x, 0.0))
+        return Slope(found[0], np.abs(found[1]), 2.0 * self._half[panel])
 
     def at(self, x: Array, power: int = 0) -> Array:
         found, _ = self._evaluated(self._values[:, 3 * power : 3 * power + 3], x)
-        return np.asarray(np.where(x < math.exp(self._edges[-1]), found, 0.0))
+        return np.asarray(np.where(x < self._last, found, 0.0))
 
     def integral(self, x: Array, power: int) -> Array:
         rows = slice(3 * power, 3 * power + 3)

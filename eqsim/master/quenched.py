@@ -1,4 +1,5 @@
-"""Quenched contacts: the stationary joint kinetic equation by quadrature (derived).
+"""Quenched contacts: the stationary joint kinetic equation by quadrature (derived), at
+many velocities at once.
 
 Without aging a contact of threshold xi survives to stretch x < xi with S(x|xi) =
 exp(-(omega/v) H(x)), H the closed form of `laws.barrier`. The joint density of pinned
@@ -7,15 +8,17 @@ contacts is P_c(xi) S(x|xi)/C on 0 <= x < xi, with
     C = E[int_0^xi S dx],        friction * C = E[(k_i/k) int_0^xi x S dx]        (no delay).
 
 Inside, x = xi sin^2(phi) makes the integrand smooth at xi, and Gauss-Legendre panels
-end where the integrated hazard passes fixed levels, so that the drop of S is resolved
-however sharp. Outside, panels in ln(-ln J_c(xi)) are halved until the highest Chebyshev
-coefficients of the integrands are negligible.
+end where the integrated hazard passes levels, from the first one of the slowest drive
+to the last one of the fastest, so that the drop of S is resolved however sharp.
+Outside, panels in ln(-ln J_c(xi)) are halved until the highest Chebyshev coefficients
+of the integrands are negligible.
 
 Here and in the other solvers lengths are in units of `law.scale`, and kappa is k_i/k.
 """
 
+import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,53 +28,55 @@ from scipy.optimize import elementwise
 from eqsim.laws.aging import PooledThresholds
 from eqsim.laws.barrier import Barrier
 from eqsim.laws.stiffness import relative_stiffness
-from eqsim.laws.threshold import (
-    Gamma,
-    ThresholdLaw,
-    means_above,
-    panels_above,
-    rank_above,
-)
+from eqsim.laws.threshold import Gamma, ThresholdLaw, means_above, rank_above
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
+from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
-METHOD = "joint kinetic equation"
-
-_LEVELS = np.array(
-    [-48.0, -24.0, -12.0, -6.0, -3.0, -1.5, -0.5, 0.25, 1.0, 1.75, 2.5, 3.25, 4.0]
-)  # of ln Lambda
-_NODES, _WEIGHTS = special.roots_legendre(14)
-_FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(8)
+# Levels of ln((omega/v) H) at which inner panels end: some that crowd upwards, where
+# hardly a contact is broken yet at the slowest drive, and from the first of the others
+# there to the last at the fastest drive as many as are so far apart.
+_RARELY_BROKEN = np.array([-40.0, -16.0, -8.0, -4.0])
+_FIRST_LEVEL = -2.0
+_LAST_LEVEL = 4.0
+_APART = 1.0
+# The rule of an inner panel, and its relative error.
+_INNER = gauss_legendre(14)
+_INNER_ERROR = 1e-11
 
 # The first panels of births in ln(-ln J_c(xi)), from 2^-50 to 500.
-_BIRTHS = np.array(
-    [-34.7, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75, 3.75, 5.0, 6.2]
-)
-# The relative error that ends refinement over births.
+_BIRTHS = np.array([-34.7, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75,
+                    3.75, 5.0, 6.2])  # fmt: skip
+# The relative error that ends refinement over births, at one velocity and at many.
 _CONVERGED = 2e-12
+_CONVERGED_CURVE = 1e-9
 # The narrowest panel of births.
-_NARROWEST = 1e-4
+_NARROWEST_BIRTHS = 1e-4
 # How many more panels there may be: laws known with noise never converge.
 _MORE_PANELS = 500
-# The relative error of `life_moments`.
-_PANELS = 1e-11
 
-# -ln J_c up to which lives hardly differ enough to count, and the distance of panels
-# beyond.
+# -ln J_c of the rarest contacts that usually count, of the strongest one that is asked
+# for, and how far panels beyond the former are apart.
 _COMMON = 45.0
+_RAREST = 510.0
 _RARER = 5.0
-# ln(xi/x - 1) from where levels are sought, and in how many bisections.
-_SHALLOWEST = -44.0
-_BISECTIONS = 13
+# Ranks e above that of x where panels of thresholds end: narrow ones next to x, then on
+# the scale of the law.
+_RANKS_ABOVE = np.array([1e-6, 1e-4, 2e-3, 0.01, 0.05, 0.15, 0.4, 0.8, 1.5, 2.5, 4.0,
+                         6.0, 9.0, 13.0, 18.0, 25.0, 35.0])  # fmt: skip
+# Ranks of weak contacts where they end, too: the law may rise steeply.
+_WEAKEST = 10.0 ** np.arange(-14.0, -6.0)
+# Distances from an infinite density over that of the median, or of x.
+_TOWARDS = 0.25 ** np.arange(1.0, 16.0)
 
 
 class Moments(NamedTuple):
     """C = E[x_b], work = E[int_0^{x_b} kappa x dx], and absolute errors of both.
 
     Of contacts born stretched: the travel E[l] = E[x_b - y], work = E[int_y^{x_b} kappa
-    x dx], the mean birth E[y], and square = E[int_y^{x_b} kappa^2 x^2 dx] and its
-    error; None where nobody asked for it.
+    x dx], the mean birth E[y]. Square = E[int_y^{x_b} kappa^2 x^2 dx], and its error:
+    not a number where nobody asked for it, or where it is unknown.
     """
 
     stretch: float
@@ -79,7 +84,7 @@ class Moments(NamedTuple):
     stretch_error: float
     work_error: float
     birth: float = 0.0
-    square: float | None = None
+    square: float = math.nan
     square_error: float = 0.0
 
 
@@ -118,97 +123,92 @@ def survival(barrier: Barrier, x: Array, xi: Array, kappa: Array) -> Array:
     return np.where(x < xi, np.exp(-np.exp(np.minimum(log_lambda, 7.0))), 0.0)
 
 
-def life_moments(barrier: Barrier, xi: Array, kappa: Array) -> Array:
-    """int_0^xi x^p S dx, p from 0 to 2, shape (3, n)."""
+def life_moments(
+    barrier: Barrier, xi: Array, kappa: Array, log_w: Array, powers: int = 2
+) -> Array:
+    """int_0^xi x^p S dx, p < `powers`, of thresholds xi (n,) at each ln(omega x_*/v),
+    shape (powers, velocities, n); the barrier's own does not count."""
+    found = np.empty((powers, log_w.size, xi.size))
     if not barrier.thermal:
-        return np.array([xi, xi**2 / 2.0, xi**3 / 3.0])
-    levels = barrier.stretch_at(_LEVELS, xi, barrier.b * kappa) / xi[:, None]
-    phi = np.arcsin(np.sqrt(np.clip(levels, 0.0, 1.0)))
-    edges = np.concatenate(
-        (np.zeros((xi.size, 1)), phi, np.full((xi.size, 1), 0.5 * math.pi)), axis=1
-    )
-    half = 0.5 * np.diff(edges, axis=1)
-    contact, panel = np.nonzero(
-        half
-    )  # the others are empty: levels that this contact does not meet
-    h, own = half[contact, panel][:, None], xi[contact, None]
-    phi = edges[contact, panel][:, None] + h * (1.0 + _NODES)
-    x = np.maximum(own * np.sin(phi) ** 2, 1e-200)
-    found = (
-        h
-        * _WEIGHTS
-        * own
-        * np.sin(2 * phi)
-        * survival(barrier, x, own, kappa[contact, None])
-    )
-    terms = np.zeros((3, *half.shape))
-    for power in range(3):
-        terms[power, contact, panel] = found.sum(axis=1)
-        found *= x
-    return np.asarray(terms.sum(axis=2))
+        for power in range(powers):
+            found[power] = xi ** (power + 1) / (power + 1)
+        return found
+    a, bare = barrier.b * kappa, barrier._replace(log_w=0.0)  # type: ignore[attr-defined]
+    first, last = _FIRST_LEVEL - log_w.max(), _LAST_LEVEL - log_w.min()
+    even = np.linspace(first, last, math.ceil((last - first) / _APART) + 1)
+    levels = np.concatenate((_RARELY_BROKEN - log_w.max(), even))
+    at = np.clip(bare.stretch_at(levels, xi, a) / xi[:, None], 0.0, 1.0)
+    start = np.zeros((xi.size, 1))
+    edges = np.concatenate((start, np.arcsin(np.sqrt(at)), start + 0.5 * math.pi), 1)
+    # empty panels lie between levels that a contact does not meet
+    contact, panel = np.nonzero(np.diff(edges, axis=1) > 0.0)
+    phi, weight = _INNER.between(edges[contact, panel], edges[contact, panel + 1])
+    xi, a, sine = xi[contact, None], a[contact, None], np.sin(phi)
+    x = np.maximum(xi * sine**2, 1e-200)
+    weight *= xi * (2.0 * sine * np.cos(phi))
+    with np.errstate(divide="ignore"):
+        log_hazard = bare.log_hazard(np.minimum(x, xi), xi, a)
+    hazard, alive = np.exp(np.clip(log_hazard, -700.0, 700.0)), np.empty_like(x)
+    starts = np.searchsorted(contact, np.arange(found.shape[2])) * phi.shape[1]
+    for i, attempts in enumerate(np.exp(log_w).tolist()):
+        np.multiply(hazard, -attempts, out=alive)
+        np.exp(alive, out=alive)
+        alive *= weight
+        for power in range(powers):
+            found[power, i] = np.add.reduceat(alive.ravel(), starts)
+            alive *= x
+    return found
 
 
-def stationary(contacts: Reduced) -> Moments:
-    """Moments of the lives of quenched contacts that do not age."""
-
-    def moments(xi: Array) -> Array:
-        kappa = kappa_of(contacts, xi)
-        zeroth, first, _ = life_moments(contacts.barrier, xi, kappa)
-        return np.array([zeroth, kappa * first])
-
-    if contacts.law.steps.size:
-        xi, share, _ = different_steps(contacts)
-        mean = moments(xi) @ share
-        return Moments(mean[0], mean[1], *(1e-11 * mean))
-    total, error = over_births(
-        contacts.law,
-        lambda xi: (moments(xi), np.zeros((2, xi.size))),
-        _CONVERGED,
-        _NARROWEST,
-    )
-    rarest = beyond(contacts)
-    return Moments(
-        *(total + rarest).tolist(), *(error + _PANELS * total + rarest).tolist()
-    )
-
-
-def squares(contacts: Reduced) -> tuple[float, float]:
-    """E[int_0^{x_b} kappa^2 x^2 dx] of quenched contacts that do not age, and a bound
-    of its error."""
+def quenched_moments(
+    every: Sequence[Reduced], *, square: bool = False
+) -> list[Moments]:
+    """Moments of the lives of quenched contacts that do not age, one for each of
+    `every`, which differ in velocity only; with the mean square of force if asked."""
+    contacts, powers = every[0], 3 if square else 2
+    law, barrier = contacts.law, contacts.barrier
+    log_w = np.array([r.barrier.log_w if r.barrier.thermal else 0.0 for r in every])
 
     def moments(xi: Array) -> Array:
         kappa = kappa_of(contacts, xi)
-        return (kappa**2 * life_moments(contacts.barrier, xi, kappa)[2])[None]
+        lives = life_moments(barrier, xi, kappa, log_w, powers)
+        lives *= kappa ** np.arange(powers)[:, None, None]
+        return lives.reshape(-1, xi.size)
 
-    if contacts.law.steps.size:
+    once = log_w.size == 1 or not barrier.thermal
+    if law.steps.size:
         xi, share, _ = different_steps(contacts)
-        mean = float((moments(xi) @ share)[0])
-        return mean, 1e-11 * mean
-    total, error = over_births(
-        contacts.law,
-        lambda xi: (moments(xi), np.zeros((1, xi.size))),
-        _CONVERGED,
-        _NARROWEST,
-    )
-    last = (
-        np.asarray(contacts.law.inverse_survival(np.array([math.exp(_BIRTHS[-1])])))
-        / contacts.law.scale
-    )
-    rest, missed = means_above(
-        contacts.law,
-        float(last[0]),
-        lambda xi: np.log(kappa_of(contacts, xi) ** 2 * xi**3 / 3.0)[None],
-    )
-    shortened = 1.0 - float(
-        moments(last)[0, 0] / (kappa_of(contacts, last) ** 2 * last**3 / 3.0)[0]
-    )  # by heat, at most
-    total, error = total + rest, error + missed + shortened * rest
-    return float(total[0]), float(error[0] + _PANELS * total[0])
+        total = (moments(xi) @ share).reshape(powers, -1)
+        error = _INNER_ERROR * total
+    else:
+        converged = _CONVERGED if once else _CONVERGED_CURVE
+        means = over_births(
+            law, lambda xi: (moments(xi), 0.0), converged, _NARROWEST_BIRTHS
+        )
+        total, error = (part.reshape(powers, -1) for part in means)
+        error += _INNER_ERROR * total
+        rest = beyond(contacts)[:, None]
+        total[:2] += rest
+        error[:2] += rest
+    if square and not law.steps.size:
+        last = np.asarray(law.inverse_survival(np.exp(_BIRTHS[-1:]))) / law.scale
+
+        def unbroken(xi: Array) -> Array:
+            return np.log(kappa_of(contacts, xi) ** 2 * xi**3 / 3.0)[None]
+
+        far, missed = means_above(law, float(last[0]), unbroken)
+        # heat shortens these lives, at most by as much as here
+        shortened = 1.0 - moments(last)[-log_w.size :, 0] / np.exp(unbroken(last)[0])
+        total[2] += far
+        error[2] += missed + shortened * far
+    born = np.zeros((1, log_w.size))
+    rows = np.concatenate((total[:2], error[:2], born, total[2:], error[2:]))
+    return [Moments(*row) for row in rows.T.tolist()]
 
 
 def over_births(
     law: ThresholdLaw,
-    moments: Callable[[Array], tuple[Array, Array]],
+    moments: Callable[[Array], tuple[Array, Array | float]],
     converged: float,
     narrowest: float,
 ) -> tuple[Array, Array]:
@@ -218,8 +218,8 @@ def over_births(
     Parameters
     ----------
     moments : callable
-        From thresholds, shape (n,), to moments and their errors, each of shape
-        (moments, n).
+        From thresholds, shape (n,), to moments, shape (moments, n), and their errors,
+        which may be a number.
     converged, narrowest : float
         The relative error and the width, in ln(-ln J_c), at which panels are not split
         any more.
@@ -232,16 +232,13 @@ def over_births(
     def evaluate(left: Array, right: Array, _: Array) -> Array:
         half = 0.5 * (right - left)[:, None]
         e = np.exp(left[:, None] + half * (1.0 + ClenshawCurtis.nodes))
-        found = np.array(
-            moments(np.asarray(law.inverse_survival(e.ravel())) / law.scale)
-        ).reshape(2, -1, *e.shape)
-        terms = found * (half * e * np.exp(-e))
-        return np.concatenate(
-            (
-                terms @ ClenshawCurtis.weights,
-                np.abs(terms[:1] @ ClenshawCurtis.tail).sum(axis=3),
-            )
-        )
+        xi = np.asarray(law.inverse_survival(e.ravel())) / law.scale
+        found = [
+            part.reshape(-1, *e.shape) for part in np.broadcast_arrays(*moments(xi))
+        ]
+        terms = np.array(found) * (half * e * np.exp(-e))
+        unresolved = np.abs(terms[:1] @ ClenshawCurtis.tail).sum(axis=3)
+        return np.concatenate((terms @ ClenshawCurtis.weights, unresolved))
 
     def judge(panels: Panels) -> tuple[Array, tuple[Array, Array]]:
         parts, errors, unresolved = panels.values
@@ -322,98 +319,77 @@ def integrals_beyond(contacts: Reduced, x: float, alive: float) -> tuple[Array, 
     )
 
 
-def survivors_at(contacts: Reduced, x: Array) -> Array:
-    """S(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] at x > 0 of shape
-    (n,), shape (3, n).
-
-    Over xi > x by panels that end at fixed shares of the stronger contacts and where
-    the hazard passes fixed levels.
-    """
-    law = contacts.law
-    if law.steps.size:
-        total = np.zeros((3, x.size))
-        for xi, share, kappa in zip(*different_steps(contacts), strict=True):
-            total += (
-                share
-                * kappa ** np.arange(3)[:, None]
-                * survival(contacts.barrier, x, xi, kappa)
-            )
-        return total
-    layer = weakest(law) + np.zeros((x.size, 1))
-    if contacts.barrier.thermal:
-        layer = np.concatenate((layer, _thresholds_at(contacts, x)), axis=1)
-    edges = births_above(law, x, layer, rarest_that_counts(contacts.barrier))
-    half = 0.5 * np.diff(edges, axis=1)[:, :, None]
-    xi = edges[:, :-1, None] + half * (1.0 + _FEW_NODES)
-    kappa = kappa_of(contacts, xi)
-    with np.errstate(invalid="ignore"):
-        terms = half * _FEW_WEIGHTS * law.pdf(xi * law.scale) * law.scale
-        terms *= survival(contacts.barrier, x[:, None, None], xi, kappa)
-    terms = np.where((half > 0) & np.isfinite(terms), terms, 0.0)
-    found = np.array([(terms * kappa**power).sum(axis=(1, 2)) for power in range(3)])
-    if (
-        not contacts.barrier.thermal
-    ):  # the law knows its share of stronger contacts better than the panels
-        found *= np.where(
-            found[0] > 0.0, law.sf(x * law.scale) / np.maximum(found[0], 1e-300), 0.0
-        )
-    return found
-
-
 def rarest_that_counts(barrier: Barrier) -> float:
     """-ln J_c up to which contacts count: where lives are as short as exp(-log_w), ones
     as rare as its square do."""
     return _COMMON + min(max(2.0 * barrier.log_w, 0.0), 455.0)
 
 
-def births_above(
-    law: ThresholdLaw, x: Array, layer: Array | None, rarest: float
-) -> Array:
-    """`panels_above` up to the threshold that a fraction exp(-rarest) of the contacts
-    exceeds."""
-    edges = panels_above(law, x, layer)
-    if rarest <= _COMMON:
-        return edges
-    beyond = law.inverse_survival(
-        np.arange(_COMMON, rarest, _RARER)
-    ) / law.scale + np.zeros((x.size, 1))
-    if layer is not None:
-        beyond = np.concatenate((layer, beyond), axis=1)
-    return np.concatenate(
-        (edges, np.sort(np.maximum(beyond, edges[:, -1:]), axis=1)), axis=1
+# It takes 1 ms, or 2 s where SciPy finds quantiles numerically, and a transient asks for
+# it 30 times.
+@functools.lru_cache(maxsize=8)
+def _ranks_of(law: ThresholdLaw) -> tuple[Array, Array]:
+    """-ln J_c and the thresholds that have it: only panels depend on this table."""
+    e = np.exp(np.linspace(-36.0, math.log(_RAREST), 700))
+    xi, which = np.unique(
+        np.asarray(law.inverse_survival(e)) / law.scale, return_index=True
     )
+    return e[which], xi
 
 
-def weakest(law: ThresholdLaw) -> Array:
-    """Thresholds that 1e-14 to 1e-7 of the contacts stay below: edges of panels where
-    the law rises steeply."""
-    return np.asarray(law.inverse_survival(10.0 ** np.arange(-14.0, -6.0))) / law.scale
+def greatest_of(law: ThresholdLaw) -> float:
+    """A threshold that 1e-221 of the contacts of a smooth law exceed."""
+    return float(_ranks_of(law)[1][-1])
 
 
-def _thresholds_at(contacts: Reduced, x: Array) -> Array:
-    """Roughly the threshold whose ln((omega/v) H(x)) passes each level, shape (n,
-    levels): only panels depend on it.
+def thresholds_above(
+    law: ThresholdLaw, x: Array, layer: Array, rarest: float = _COMMON
+) -> Array:
+    """Edges of panels, shape (n, any), from x (n,) to thresholds of a smooth law that
+    exp(-rarest) of the stronger contacts exceed: on the scale of the law itself, next
+    to infinite densities, where it has kinks or rises from next to nothing, and at the
+    edges of a boundary `layer`, shape (n, any)."""
+    low, high = (edge / law.scale for edge in law.support)
+    left, (e, xi) = np.maximum(x, low)[:, None], _ranks_of(law)
+    shares = np.append(_RANKS_ABOVE, np.arange(40.0, rarest + 8.0, _RARER))
+    top = np.minimum(np.interp(left, xi, e) + shares, _RAREST)
+    weakest = np.asarray(law.inverse_survival(_WEAKEST)) / law.scale
+    fixed = [law.kinks / law.scale, weakest]
+    with np.errstate(divide="ignore"):
+        if np.isinf(law.pdf(law.support[0])):
+            fixed.append(low + (np.interp(math.log(2.0), e, xi) - low) * _TOWARDS)
+        near = math.isfinite(high) and np.isinf(law.pdf(law.support[1]))
+    inside = [np.broadcast_to(at, (left.size, at.size)) for at in fixed]
+    inside += [high - (high - left) * _TOWARDS] if near else []
+    edges = np.concatenate((left, np.interp(top, e, xi), layer, *inside), axis=1)
+    return np.sort(np.clip(edges, left, min(high, xi[-1])), axis=1)
 
-    By bisection, as stronger contacts are safer; where attempts hardly need energy that
-    may fail, but nothing is steep.
-    """
-    x = x[:, None]
-    low = np.full((x.size, _LEVELS.size), _SHALLOWEST)
-    high = np.log1p(
-        float(contacts.law.inverse_survival(500.0)) / contacts.law.scale / x
-    ) + np.zeros_like(low)
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        xi = x * (1.0 + np.exp(middle))
-        weak = (
-            contacts.barrier.log_hazard(
-                x, xi, contacts.barrier.b * kappa_of(contacts, xi)
-            )
-            + contacts.barrier.log_w
-            > _LEVELS
+
+def stiffness_of_survivors(contacts: Reduced, x: Array) -> tuple[Array, Array]:
+    """E[kappa | xi > x] and E[kappa^2 | xi > x] at x > 0, shape (n,), of a smooth law."""
+    if contacts.stiffness == "uniform":
+        return np.ones_like(x), np.ones_like(x)
+    law = contacts.law
+    if isinstance(law, Gamma):
+        shape, u = law.n + 1.0, x**2
+        J = special.gammaincc(shape, u)
+        mean, square = (
+            special.gammaincc(shape + p, u) / J * special.poch(shape, p)
+            for p in (0.5, 1.0)
         )
-        low, high = np.where(weak, middle, low), np.where(weak, high, middle)
-    return np.asarray(x * (1.0 + np.exp(high)))
+        return mean / contacts.rms, square / contacts.rms**2
+    edges = thresholds_above(law, x, np.empty((x.size, 0)))
+    xi, weights = gauss_legendre(12).between(edges[:, :-1], edges[:, 1:])
+    kappa = kappa_of(contacts, xi)
+    terms = weights * law.pdf(xi * law.scale)
+    terms[~np.isfinite(terms)] = 0.0  # the density may be infinite at an end
+    total, *sums = ((terms * kappa**power).sum(axis=(1, 2)) for power in range(3))
+    last = kappa_of(contacts, x)  # where hardly a threshold is above
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean, square = (
+            np.where(total > 0, part / total, last**p) for p, part in enumerate(sums, 1)
+        )
+    return mean, square
 
 
 def panels_between_steps(contacts: Reduced) -> Array:

@@ -1,20 +1,26 @@
-"""Steady averages of either ensemble from the master equation, as the engine reports
-them."""
+"""Steady averages of either ensemble from the master equation, at one velocity as the
+engine reports them, or at many for fits and curves."""
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate, infinite
-from eqsim.master import annealed, newborn, quenched
-from eqsim.master.quenched import Moments
-from eqsim.master.solvers import solver
-from eqsim.master.velocities import delay_of, lives_of
+from eqsim.laws.aging import Aging
+from eqsim.laws.threshold import Gamma
+from eqsim.master.annealed import Ageing, annealed_moments
+from eqsim.master.profile import profile_of
+from eqsim.master.quenched import Moments, integrals_beyond
+from eqsim.master.solvers import PUBLISHED, method_of, moments_of
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, bare, drag_of, reduced
+from eqsim.numerics.tables import Array
+from eqsim.results import Drawn, Result
 
 
 @dataclass(frozen=True, repr=False)
@@ -36,14 +42,47 @@ class Reference(Averages):
     method: str
 
 
-def settled(ensemble: Ensemble, velocity: float) -> Reduced:
-    """An ensemble at a velocity as the solvers need it; births of annealed contacts
-    that age are the fixed point C = int J_c exp(-Delta U) dx of star1. Raises
-    InputError."""
-    if not ensemble.self_consistent:
-        return reduced(ensemble, velocity)
-    stretch = float(lives_of(bare(ensemble), (velocity,)).stretch[0])
-    return reduced(ensemble, velocity, stretch * ensemble.thresholds.scale)
+class Lives(NamedTuple):
+    """`Moments` at many velocities, arrays (velocities,)."""
+
+    stretch: Array
+    work: Array
+    stretch_error: Array
+    work_error: Array
+    birth: Array
+    square: Array
+    square_error: Array
+
+
+@dataclass(frozen=True, repr=False)
+class Curve(Result):
+    """Steady averages over velocity, in the user's units, and their absolute errors,
+    arrays (velocities,).
+
+    Attributes
+    ----------
+    velocity : ndarray
+    friction, pinned, break_stretch : ndarray
+        Observables of `Averages`: force/(N k), a share, and a length.
+    friction_error, pinned_error, break_stretch_error : ndarray
+        Error estimates of the solver.
+    """
+
+    drawn: ClassVar[Drawn] = Drawn(
+        "velocity",
+        "friction",
+        "friction_error",
+        "velocity  v",
+        "friction  <F>/(N k)",
+        log=True,
+    )
+    velocity: Array
+    friction: Array
+    pinned: Array
+    break_stretch: Array
+    friction_error: Array
+    pinned_error: Array
+    break_stretch_error: Array
 
 
 def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Reference:
@@ -89,92 +128,149 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     0.883883, 1.0
     """
     require_drive(drive)
-    v = drive.velocity
-    if ensemble.self_consistent:
-        found, method = (
-            Moments(*(float(part[0]) for part in lives_of(bare(ensemble), (v,))[:4])),
-            annealed.METHOD,
-        )
-    else:
-        s = settled(ensemble, v)
-        found, method = _moments(bare(ensemble), v), _method(ensemble, s)
-    divergence = ensemble.divergence if variance or found.square is not None else ""
-    if (
-        variance
-        and found.square is None
-        and not (divergence or ensemble.newborn.active)
-    ):
-        found = _with_square(settled(ensemble, v), found)
-    unit, delay, drag = (
-        ensemble.thresholds.scale,
-        delay_of(ensemble, v),
-        drag_of(ensemble, v),
-    )
-    travel, work = found.stretch, found.work
-    travel_error, work_error = found.stretch_error, found.work_error
-    relative, cycle = travel_error / travel, travel + delay
+    v, stretched = drive.velocity, ensemble.newborn.active
+    divergence = ensemble.divergence if variance or stretched else ""
+    square = variance and not (divergence or stretched)
+    alone = bare(ensemble)
+    lives = lives_of(alone, (v,), square)
+    found = {
+        name: Estimate(float(value[0]), float(error[0]), 0)
+        for name, (value, error) in _observables(ensemble, (v,), lives).items()
+    }
+    if divergence:
+        found["force_variance"] = infinite()
+    elif math.isnan(lives.square[0]):
+        found["force_variance"] = Estimate(None, None, 0, None, False)
+    # also where heat breaks none
+    published = ensemble.disorder == "annealed" and ensemble.aging.active
+    method = PUBLISHED if published else method_of(reduced(alone, v))
+    return Reference(**found, method=method)
+
+
+def curve(ensemble: Ensemble, velocities: Array) -> Curve:
+    """Solve for the steady averages at many velocities, the same as those of
+    `reference` within the errors of both. Friction is F/(N k), a length.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    velocities : array_like, shape (velocities,)
+        > 0 (length/time), in any order, of a slider without stage and blocks; by
+        default those of a run file's sweep over drive.velocity, or of its drive.
+
+    Returns
+    -------
+    Curve
+
+    Raises
+    ------
+    InputError
+        For velocities that are not positive, and for contacts that `reference` refuses.
+
+    Examples
+    --------
+    >>> from eqsim import Ensemble, Thermal, curve
+    >>> found = curve(Ensemble(thermal=Thermal(kT=0.1)), [0.01, 0.1, 1.0])
+    >>> found.friction.round(4).tolist()
+    [0.977, 0.9284, 0.8912]
+    """
+    v = np.asarray(velocities, float)
+    if v.ndim != 1 or not v.size:
+        raise InputError("velocities: must be a list of at least one velocity")
+    every = tuple(v.tolist())
+    found = _observables(ensemble, every, lives_of(bare(ensemble), every))
+    basic = [found[name] for name in ("friction", "pinned", "break_stretch")]
+    return Curve(v, *(value for value, _ in basic), *(error for _, error in basic))
+
+
+def _observables(
+    ensemble: Ensemble, velocities: tuple[float, ...], lives: Lives
+) -> dict[str, tuple[Array, Array]]:
+    """Values and absolute errors of observables in the user's units, arrays
+    (velocities,)."""
+    unit = ensemble.thresholds.scale
+    delay = np.array([_delay_of(ensemble, v) for v in velocities])
+    drag = np.array([drag_of(ensemble, v) for v in velocities])
+    travel, work, square = lives.stretch, lives.work, lives.square
+    relative, cycle = lives.stretch_error / travel, travel + delay
     pinned = travel / cycle
     pinned_error = pinned * (1.0 - pinned) * relative
     elastic = work / cycle
     friction = elastic + drag * (delay / cycle)
-    error = (work_error + abs(work) * pinned * relative) / cycle + drag * pinned_error
-    f_k, f_k_error = work / travel, work_error / travel + abs(work) / travel * relative
-    spread = Estimate(None, None, 0, None, False)
-    if divergence:
-        spread = infinite()
-    elif found.square is not None:
-        square = found.square / cycle + drag**2 * (1.0 - pinned)
-        missed = (
-            found.square_error + found.square * pinned * relative
-        ) / cycle + drag**2 * pinned_error
-        missed += 2.0 * abs(friction) * error
-        spread = Estimate((square - friction**2) * unit**2, missed * unit**2, 0)
-    return Reference(
-        friction=Estimate(friction * unit, error * unit, 0),
-        pinned=Estimate(pinned, pinned_error, 0),
-        break_stretch=Estimate((found.birth + travel) * unit, travel_error * unit, 0),
-        travel=Estimate(travel * unit, travel_error * unit, 0),
-        birth_stretch=Estimate(found.birth * unit, 0.0, 0),
-        force_variance=spread,
-        f_k=Estimate(f_k * unit, f_k_error * unit, 0),
-        method=method,
-    )
+    error = (lives.work_error + np.abs(work) * pinned * relative) / cycle
+    error += drag * pinned_error
+    f_k_error = lives.work_error / travel + np.abs(work) / travel * relative
+    variance = square / cycle + drag**2 * (1.0 - pinned) - friction**2
+    missed = (lives.square_error + square * pinned * relative) / cycle
+    missed += drag**2 * pinned_error + 2.0 * np.abs(friction) * error
+    off = lives.stretch_error * unit
+    return {
+        "friction": (friction * unit, error * unit),
+        "pinned": (pinned, pinned_error),
+        "break_stretch": ((lives.birth + travel) * unit, off),
+        "travel": (travel * unit, off),
+        "birth_stretch": (lives.birth * unit, np.zeros_like(off)),
+        "force_variance": (variance * unit**2, missed * unit**2),
+        "f_k": (work / travel * unit, f_k_error * unit),
+    }
 
 
-# It takes up to 1 s, of contacts born stretched, and a fit or a sweep may change the
-# delay or the viscosity alone.
-@functools.lru_cache(maxsize=64)
-def _moments(ensemble: Ensemble, velocity: float) -> Moments:
-    """Moments of lives, whatever the delay, which only changes how often they begin."""
-    s = settled(ensemble, velocity)
-    return solver(s).stationary(s)
+def _delay_of(ensemble: Ensemble, velocity: float) -> float:
+    """v<tau>/x_*. Raises InputError."""
+    delay = ensemble.delay.reduced(velocity, ensemble.thresholds.scale).mean
+    require_number("velocity * delay / threshold", delay, least=0, most=1e100)
+    return delay
 
 
-def _method(ensemble: Ensemble, contacts: Reduced) -> str:
-    if contacts.newborn.active:
-        return newborn.method(contacts)
-    published = (
-        ensemble.disorder == "annealed" and ensemble.aging.active
-    )  # also where heat breaks none
-    return annealed.METHOD if published else solver(contacts).METHOD
+# It takes 1 ms to 1 s, and a fit, a sweep or a reference may change the delay or the
+# viscosity alone; 128 of the longest lists of velocities that are fitted are below 1 MB.
+@functools.lru_cache(maxsize=128)
+def lives_of(
+    ensemble: Ensemble, velocities: tuple[float, ...], square: bool = False
+) -> Lives:
+    """Moments of lives, whatever the delay, which only changes how
+    often they begin; with the mean square of force of contacts born unstretched if
+    asked, where it is finite. Raises InputError."""
+    law, aging = ensemble.thresholds, ensemble.aging
+    if ensemble.disorder == "annealed" and aging.active and isinstance(law, Gamma):
+        plain = replace(ensemble, aging=Aging())
+        every = [reduced(plain, v) for v in velocities]
+        alpha = np.array([aging.alpha(law.scale, v) for v in velocities])
+        found = annealed_moments(every, Ageing(alpha, aging.final(law.scale)))
+    else:
+        every = [reduced(ensemble, v) for v in velocities]
+        found = moments_of(every, square=square)
+    if square and math.isnan(found[0].square):
+        found = [
+            _with_square(reduced(ensemble, v, lives.stretch * law.scale), lives)
+            for v, lives in zip(velocities, found, strict=True)
+        ]
+    return Lives(*np.array(found).T)
+
+
+def settled(ensemble: Ensemble, velocity: float) -> Reduced:
+    """An ensemble at a velocity as the solvers need it; births of annealed contacts
+    that age are the fixed point C = int J_c exp(-Delta U) dx of star1. Raises
+    InputError."""
+    if not ensemble.self_consistent:
+        return reduced(ensemble, velocity)
+    stretch = float(lives_of(bare(ensemble), (velocity,)).stretch[0])
+    return reduced(ensemble, velocity, stretch * ensemble.thresholds.scale)
 
 
 def _with_square(contacts: Reduced, moments: Moments) -> Moments:
-    """Moments of contacts born unstretched with E[int kappa^2 x^2 dx]: where lives are
-    known in closed form from these, else from the profile of a life."""
-    if solver(contacts) is quenched:
-        square, error = quenched.squares(contacts)
-        return moments._replace(square=square, square_error=error)
-    from eqsim.master.profile import profile_of  # which needs the solvers
-
-    profile = profile_of(contacts)
-    square = float(profile.integral(np.array([math.inf]), 2)[2, 0])
-    rest, missed = quenched.integrals_beyond(
-        contacts, float(profile.x[-1]), float(profile.survive[-1])
-    )
-    square += float(rest[2, 2])
-    # of the end of a life the square knows more than the work does, by which the
-    # profile's error was judged: twice it
-    return moments._replace(
-        square=square, square_error=2.0 * profile.error * square + float(missed[2, 2])
-    )
+    """Moments of contacts born unstretched with E[int kappa^2 x^2 dx], in closed form or
+    from the profile of a life."""
+    if contacts.aging.closed and not contacts.annealed:
+        (closed,) = moments_of([contacts], square=True)
+        square, error = closed.square, closed.square_error
+    else:
+        profile = profile_of(contacts)
+        square = float(profile.integral(np.array([math.inf]), 2)[2, 0])
+        last = float(profile.x[-1]), float(profile.survive[-1])
+        rest, missed = integrals_beyond(contacts, *last)
+        square += float(rest[2, 2])
+        # of the end of a life the square knows more than the work does, by which the
+        # profile's error was judged: twice it
+        error = 2.0 * profile.error * square + float(missed[2, 2])
+    return moments._replace(square=square, square_error=error)

@@ -1,6 +1,7 @@
 """Adaptive panels: intervals are split until 17 Chebyshev nodes resolve a function on
 each of them."""
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -13,27 +14,40 @@ from eqsim.numerics.tables import Array
 _HALVES = np.array([0.0, 0.5, 1.0])
 
 
-class ClenshawCurtis:
+class Chebyshev(NamedTuple):
     """The rule of Clenshaw and Curtis on [-1, 1], whose nodes hold both ends.
 
     Attributes
     ----------
-    nodes, weights : ndarray, shape (17,)
-    cumulative : ndarray, shape (17, 17)
+    nodes, weights : ndarray, shape (order + 1,)
+    cumulative : ndarray, shape (order + 1, order + 1)
         Values at the nodes times it are the integrals from -1 to each node.
-    coefficients : ndarray, shape (17, 17)
+    coefficients : ndarray, shape (order + 1, order + 1)
         It times values at the nodes is their Chebyshev coefficients.
-    tail : ndarray, shape (17, 2)
+    tail : ndarray, shape (order + 1, 2)
         Values at the nodes times it are the two highest coefficients, which say whether
         a function is resolved.
     """
 
-    _order = 16
-    nodes = -np.cos(math.pi * np.arange(_order + 1) / _order)
-    coefficients = np.linalg.inv(chebyshev.chebvander(nodes, _order))
+    nodes: Array
+    weights: Array
+    cumulative: Array
+    coefficients: Array
+    tail: Array
+
+
+# A rule takes 0.25 ms, and a solve of 20 ms asks for twenty, of two orders.
+@functools.lru_cache(maxsize=8)
+def clenshaw_curtis(order: int) -> Chebyshev:
+    """The rule with order + 1 nodes."""
+    nodes = -np.cos(math.pi * np.arange(order + 1) / order)
+    coefficients = np.linalg.inv(chebyshev.chebvander(nodes, order))
     cumulative = chebyshev.chebval(nodes, chebyshev.chebint(coefficients, lbnd=-1))
-    weights = cumulative[:, -1]
     tail = coefficients[-2:].T
+    return Chebyshev(nodes, cumulative[:, -1], cumulative, coefficients, tail)
+
+
+ClenshawCurtis = clenshaw_curtis(16)
 
 
 class Panels(NamedTuple):

@@ -23,7 +23,7 @@ from eqsim.io.export import RENAMED_COLUMNS
 from eqsim.io.labels import axis, plain, symbol
 from eqsim.io.runfile import RunFile, at, keys, stored
 from eqsim.io.units import Quantity, Units
-from eqsim.master.velocities import curve
+from eqsim.master.steady import curve
 from eqsim.numerics.tables import Array
 from eqsim.plots.panels import Caption
 from eqsim.plots.style import COLORS, DASHES, MARKERS, not_flat, styled
