@@ -29,8 +29,8 @@ _KNOWN_COLUMNS = (
 
 
 class MeasuredAt(NamedTuple):
-    """Where a measurement was made: values of run-file keys, kT over that of the run
-    file, its set, and in which line of the file it stands."""
+    """Conditions of a measurement: values of run-file keys, kT over that of the run
+    file, its set, and its line in the file."""
 
     changes: tuple[tuple[str, float], ...]
     heat: float

@@ -28,8 +28,8 @@ _SEARCH_TOLERANCE = 1e-8
 
 
 class Minimum(NamedTuple):
-    """Where a minimisation ended: parameters, chi-square (priors included), whether it
-    converged, and solves."""
+    """End of a minimisation: parameters, chi-square (priors included), whether it
+    converged, and the number of solves."""
 
     u: Array
     chi2: float
@@ -38,8 +38,8 @@ class Minimum(NamedTuple):
 
 
 def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
-    """Least squares from `u`, the parameter of index `held` as it is there; the linear
-    ones need no start."""
+    """Least squares from `u`, where the parameter of index `held` stays; linear ones
+    need no start."""
     searched = np.flatnonzero(~problem.linear & (np.arange(u.size) != held))
     low, high = problem.low[searched], problem.high[searched]
     known: dict[bytes, Array] = {}  # least squares ask twice
@@ -114,7 +114,7 @@ def check_starts(problem: Problem, every: list[Array]) -> None:
 
 
 def _refusal(problem: Problem, u: Array) -> InputError | None:
-    """Why the reference has no predictions; None if it has."""
+    """The error of the reference if it has no predictions."""
     try:
         problem.given(u)
     except TooManySteps:  # as far from the data as may be, but no mistake
@@ -171,7 +171,7 @@ class Tasks:
 
 
 def different(minima: Sequence[Minimum]) -> list[Minimum]:
-    """Those that converged, the best first, of equal ones only one."""
+    """Minima that converged, the best first, one of equal ones."""
     found: list[Minimum] = []
     for one in sorted((m for m in minima if m.converged), key=lambda m: m.chi2):
         if not any(abs(one.chi2 - other.chi2) < SAME_MINIMUM for other in found):
@@ -180,8 +180,8 @@ def different(minima: Sequence[Minimum]) -> list[Minimum]:
 
 
 class Direction(NamedTuple):
-    """An eigenvector of J'J: its eigenvalue, over the largest, how far all may move
-    along it (standard deviation), and components by key, and its name."""
+    """An eigenvector of J'J: eigenvalue, its ratio to the largest, standard deviation
+    of the parameters along it, components by key, and a name."""
 
     eigenvalue: float
     ratio: float

@@ -44,7 +44,7 @@ def velocity_of(row: MeasuredAt) -> float | None:
 
 
 class Forward(Protocol):
-    """Where predictions come from."""
+    """Source of predictions."""
 
     @property
     def scaled(self) -> bool:
@@ -56,8 +56,8 @@ class Forward(Protocol):
 
 @dataclass(frozen=True)
 class SteadyForward:
-    """Steady observables, one row of a table each; all velocities of an ensemble at
-    once."""
+    """Steady observables, one for each row of a table; all velocities of an ensemble
+    are solved at once."""
 
     file: RunFile
     rows: Sequence[MeasuredAt]
@@ -163,7 +163,7 @@ class Problem:
 
     @cached_property
     def linear(self) -> Array:
-        """Which parameters are found by linear least squares."""
+        """True of parameters that are found by linear least squares."""
         roots = np.any(self.spread & (self.scale_of >= 0))
         if roots or self.loss != "gaussian":
             return np.zeros(len(self.parameters), bool)
@@ -210,7 +210,7 @@ class Problem:
         return factor
 
     def _combined(self, raw: Array, values: dict[str, float]) -> Array:
-        """Predictions, from those at unit scale."""
+        """Predictions, made of those at unit scale."""
         added = [values[key] * base for key, base in self.nuisance.items()]
         return np.asarray(self._factor(values) * raw + sum(added))
 
@@ -317,8 +317,8 @@ class Problem:
         return jacobian * np.where(straight, self.high - self.low, 1.0)
 
     def elsewhere(self, index: int, rows: Sequence[MeasuredAt]) -> "Problem":
-        """The fit of measurements like that of an index, at other rows of a table;
-        values and errors are 1."""
+        """The fit of measurements like that with an index, made at other `rows`; values
+        and errors are 1."""
         forward, same = self.forward, np.full(len(rows), index)
         assert isinstance(forward, SteadyForward)
         names = [forward.observable[index]] * len(rows)

@@ -142,7 +142,7 @@ class RecordForward:
         return replace(self, correction=correction, error=error)
 
     def settle_steps(self, changes: dict[str, float]) -> "RecordForward":
-        """With the steps that a solve at these parameters chooses, uncorrected."""
+        """Uncorrected, with the steps that a solve at these parameters chooses."""
         along = self._along(changes)
         if along.programme.stage is None:
             return self

@@ -148,7 +148,8 @@ class Store:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(handle)
-            raise InputError(f"--out {self.out}: another sweep is at work") from None
+            said = "another sweep is at work in this folder"
+            raise InputError(f"--out {self.out}: {said}") from None
         except OSError:  # a file system without locks
             pass
         return handle
