@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from eqsim.laws.threshold import Gamma
 from eqsim.master import flow, quenched
-from eqsim.master.survivors import survivors
+from eqsim.master.survivors import survivor_moments
 
 ROWS = aging("flow")
 LAW = Gamma(1.0)
@@ -70,7 +70,9 @@ def test_zero_temperature(v, value):
     assert 0.1 * m.work / m.stretch == pytest.approx(value, abs=6e-7)
     x = np.geomspace(1e-15, 70.0, 2500)
     s = np.sqrt(100 - 99 * np.exp(-alpha * x))
-    survive, k1, k2 = survivors(contacts(LAW, "uniform", *COLD, 10.0, alpha), x)[0]
+    survive, k1, k2 = survivor_moments(contacts(LAW, "uniform", *COLD, 10.0, alpha), x)[
+        0
+    ]
     np.testing.assert_allclose(survive, LAW.sf(x / s), rtol=0, atol=1e-8)
     assert np.array_equal(survive, k1)
     assert np.array_equal(survive, k2)
@@ -213,10 +215,10 @@ def test_errors_cover_a_refined_result(monkeypatch):
         for case in WIDE[::11]
         for m in [flow.moments_along_paths(contacts(LAW, *case))]
     ]
-    monkeypatch.setattr(flow, "_RESOLVED", 1e-14)
+    monkeypatch.setattr(flow, "_RESOLVED_PATH", 1e-14)
     monkeypatch.setattr(flow, "_CONVERGED_BIRTHS", 1e-14)
     monkeypatch.setattr(quenched, "_BIRTHS", np.linspace(-34.7, 6.2, 60))
-    monkeypatch.setattr(flow, "_SHORTEST", 64.0**-25)
+    monkeypatch.setattr(flow, "_SHORTEST_STRETCH", 64.0**-25)
     for *case, m in cases:
         fine = flow.moments_along_paths(contacts(LAW, *case))
         assert abs(m.stretch - fine.stretch) < m.stretch_error + 2e-14 * m.stretch
@@ -233,7 +235,7 @@ def test_survivors(final, law):
         np.arange(math.log(7.5 * max(1.0, final)), math.log(1e-15), -0.015)[::-1]
     )
     for b, log_w, alpha in [(0.3, 2.0, 1.0), (30.0, 12.0, 0.1), (1e8, 10.0, 1e3)]:
-        values = survivors(
+        values = survivor_moments(
             contacts(LAW, stiffness, barrier, b, log_w, final, alpha), x
         )[0]
         m = flow.moments_along_paths(
@@ -254,7 +256,9 @@ def test_survivors_without_aging(barrier):
     """S, E[k] and E[k^2] at some x against plain quadrature over births of the closed
     form, to 1e-8."""
     x = np.array([1e-3, 0.03, 0.3, 1.0, 2.5])
-    found = survivors(contacts(LAW, "sqrt", barrier, 40.0, 8.0, 2.0, 1e-14), x)[0]
+    found = survivor_moments(contacts(LAW, "sqrt", barrier, 40.0, 8.0, 2.0, 1e-14), x)[
+        0
+    ]
     for j, xj in enumerate(x):
         for power in range(3):
 

@@ -16,7 +16,7 @@ from eqsim import Distribution, Gamma, Table
 from eqsim.laws.barrier import pooled
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master import annealed, flow, quenched
-from eqsim.master.survivors import survivors
+from eqsim.master.survivors import survivor_moments
 
 LAWS = list(itertools.product(["soft", "stiff"], ["uniform", "sqrt"]))
 
@@ -240,14 +240,14 @@ def test_annealed_errors_cover_a_refined_result(monkeypatch):
     finer = {
         "_EXPONENTS": np.sort(np.append(pooled._EXPONENTS, between)),
         "_NEAR_ENDS": 10.0 ** np.arange(-13.0, 0.0, 0.5),
-        "_UNSEEN": -60.0,
+        "_UNSEEN_ATTEMPTS": -60.0,
         "_ORDER": 24,
-        "_STEP": 0.04,
+        "_TRAPEZOID_STEP": 0.04,
     }
     for name, value in finer.items():
         monkeypatch.setattr(pooled, name, value)
-    monkeypatch.setattr(annealed, "_RISE", 2.2)
-    monkeypatch.setattr(annealed, "_RESOLVED", 5e-13)
+    monkeypatch.setattr(annealed, "_RISE_IN_X", 2.2)
+    monkeypatch.setattr(annealed, "_RESOLVED_IN_X", 5e-13)
     for case, m in zip(cases, found, strict=True):
         covered(case[0], m, annealed_of(*case))
 
@@ -382,7 +382,9 @@ def test_survivors(law, barrier, stiffness):
         (1e6, 30.0, 0.2),
     ):
         found, off = (
-            survivors(contacts(law, stiffness, barrier, f * b, log_w), np.array([x]))[0]
+            survivor_moments(
+                contacts(law, stiffness, barrier, f * b, log_w), np.array([x])
+            )[0]
             for f in (1.0, 1.0001)
         )
         depth = np.geomspace(1e-12, 8.0, 241)

@@ -31,7 +31,7 @@ import numpy as np
 from scipy import special
 
 from eqsim.master.quenched import (
-    Moments,
+    LifeMoments,
     beyond,
     different_steps,
     ends,
@@ -44,33 +44,35 @@ from eqsim.numerics.tables import Array
 
 # The first panels of a path, in phi. Nodes hold both ends of a panel, where the rate is
 # greatest, so that no peak of it can be missed.
-_FIRST = 0.5 * math.pi * np.array([0.0, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 3 / 4, 1.0])
+_FIRST_PANELS = (
+    0.5 * math.pi * np.array([0.0, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 3 / 4, 1.0])
+)
 # Where a panel is cut, and where the one that begins at 0 is.
 _EVEN = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 _TOWARDS_0 = np.array([0.0, 1 / 64, 1 / 16, 1 / 4, 1.0])
 # The relative error that ends refinement of a path.
-_RESOLVED = 1e-11
+_RESOLVED_PATH = 1e-11
 # Hazards too small to matter.
-_RARE = 1e-13
+_RARE_HAZARD = 1e-13
 # Survivals too small to matter.
 _DEAD = 1e-45
 # The shortest stretch that matters.
-_SHORTEST = 1e-100
+_SHORTEST_STRETCH = 1e-100
 # The relative error that ends refinement over births.
 _CONVERGED_BIRTHS = 1e-11
 # The narrowest panel of births.
-_NARROWEST_BIRTHS = 1e-3
+_NARROWEST_PATHS = 1e-3
 # The least relative error that is quoted.
 _ROUNDED_PATHS = 1e-12
 
 # The step of the trapezoidal rule of a hazard, and the share of it that truncation may
 # miss.
-_STEP = 0.45
-_UNSEEN = 1e-12
+_STEP_IN_U = 0.45
+_UNSEEN_HAZARD = 1e-12
 # Numbers of nodes on either side are multiples of this one.
 _NODES_APART = 16
 # Rates that are found at once, to bound memory.
-_AT_ONCE = 300_000
+_RATES_AT_ONCE = 300_000
 
 
 def kappa_along(contacts: Reduced, xi0: Array, xi: Array) -> Array:
@@ -78,7 +80,7 @@ def kappa_along(contacts: Reduced, xi0: Array, xi: Array) -> Array:
     return kappa_of(contacts, xi if contacts.aging.stiffens else xi0)
 
 
-def rate(contacts: Reduced, x: Array, xi0: Array, share: float = 1.0) -> Array:
+def rate_along(contacts: Reduced, x: Array, xi0: Array, share: float = 1.0) -> Array:
     """Thermal breaking per unit displacement at stretch x, the threshold at birth being
     xi0, arrays that broadcast; with a `share` of the barrier only. Without any it falls
     along a path."""
@@ -92,7 +94,7 @@ def rate(contacts: Reduced, x: Array, xi0: Array, share: float = 1.0) -> Array:
         )
 
 
-class _Integrals(NamedTuple):
+class _PathIntegrals(NamedTuple):
     """Integrals over panels of paths, each array of shape (panels,): the hazard inside;
     int S dx and int kappa x S dx with S = 1 at the left end; the highest Chebyshev
     coefficients of the hazard and of the two integrands, which say whether the panel
@@ -117,13 +119,13 @@ def _on_path(
     # x = end sin^2(phi) makes a stiff rate smooth at the threshold
     x = end[:, None] * np.sin(phi) ** 2
     width = half * end[:, None] * np.sin(2 * phi)
-    return x, width, rate(contacts, x, xi0[:, None])
+    return x, width, rate_along(contacts, x, xi0[:, None])
 
 
 def _integrals(
     contacts: Reduced, xi0: Array, end: Array, left: Array, right: Array
 ) -> Array:
-    """`_Integrals`, as rows, of paths from births `xi0` to `end`, each of shape
+    """`_PathIntegrals`, as rows, of paths from births `xi0` to `end`, each of shape
     (panels,)."""
     x, width, per_x = _on_path(contacts, xi0, end, left, right)
     xi0, hazard = xi0[:, None], per_x * width
@@ -142,11 +144,11 @@ def _integrals(
     peak = np.where(
         first,
         np.maximum(per_x[:, 0], per_x[:, -1]),
-        rate(contacts, x[:, 0], xi0[:, 0], 0.0),
+        rate_along(contacts, x[:, 0], xi0[:, 0], 0.0),
     ) * np.ptp(x, axis=1)
     whole = passed[:, -1]
-    blind = (peak > _RARE) & ((peak > 20 * whole) | (first & (whole > 0.5)))
-    blind &= first | ((right == _FIRST[-1]) & (np.cos(left) > 1e-7))
+    blind = (peak > _RARE_HAZARD) & ((peak > 20 * whole) | (first & (whole > 0.5)))
+    blind &= first | ((right == _FIRST_PANELS[-1]) & (np.cos(left) > 1e-7))
     tails = np.abs(
         np.concatenate((hazard[None], integrands)) @ ClenshawCurtis.tail
     ).sum(axis=2)
@@ -184,7 +186,7 @@ def _resolved(
     n = xi0.size
 
     def judge(panels: Panels) -> tuple[Array, tuple[Array, Array]]:
-        of = _Integrals(*panels.values)
+        of = _PathIntegrals(*panels.values)
         counts = np.bincount(panels.interval, minlength=n)
         at = (
             panels.interval,
@@ -198,11 +200,11 @@ def _resolved(
         moments = table[1:].sum(axis=2)
         onward = table[1:, :, ::-1].cumsum(axis=2)[:, :, ::-1][:, at[0], at[1]]
         errors = alive * panels.values[4:6] + (of.hazard_tail + of.blind) * onward
-        rough = (errors > _RESOLVED * moments[:, panels.interval]).any(axis=0) & (
+        rough = (errors > _RESOLVED_PATH * moments[:, panels.interval]).any(axis=0) & (
             panels.right - panels.left > 1e-14 * panels.right
         )
         rough |= (of.blind > 0) & (alive > _DEAD)
-        return rough & (panels.right > _SHORTEST), (
+        return rough & (panels.right > _SHORTEST_STRETCH), (
             moments,
             np.array([np.bincount(panels.interval, e, n) for e in errors]),
         )
@@ -212,14 +214,14 @@ def _resolved(
             contacts, xi0[path], end[path], left, right
         ),
         judge,
-        _FIRST,
+        _FIRST_PANELS,
         intervals=n,
         pieces=_EVEN,
         pieces_at_0=_TOWARDS_0,
     )
 
 
-def moments_along_paths(contacts: Reduced) -> Moments:
+def moments_along_paths(contacts: Reduced) -> LifeMoments:
     """Moments of the lives of quenched contacts that age in a known way (derived); the
     errors are what is left unresolved along paths and across births."""
     if contacts.law.steps.size:
@@ -230,11 +232,11 @@ def moments_along_paths(contacts: Reduced) -> Moments:
             contacts.law,
             lambda xi0: path_moments(contacts, xi0),
             _CONVERGED_BIRTHS,
-            _NARROWEST_BIRTHS,
+            _NARROWEST_PATHS,
         )
         rarest = beyond(contacts)
         total, error = total + rarest, error + rarest
-    return Moments(*total.tolist(), *(error + _ROUNDED_PATHS * total).tolist())
+    return LifeMoments(*total.tolist(), *(error + _ROUNDED_PATHS * total).tolist())
 
 
 def hazard_along(contacts: Reduced, x: Array, xi0: Array) -> Array:
@@ -245,14 +247,16 @@ def hazard_along(contacts: Reduced, x: Array, xi0: Array) -> Array:
     exponentially whatever the slopes, with as many nodes as it takes to leave out a
     hazard of 1e-12.
     """
-    x_flat = np.maximum(x.ravel(), _SHORTEST)
+    x_flat = np.maximum(x.ravel(), _SHORTEST_STRETCH)
     found, reach = np.zeros(x.size), contacts.barrier.log_w + np.log(x_flat)
-    nodes = np.ceil((reach - math.log(_UNSEEN)) / _STEP / _NODES_APART)
+    nodes = np.ceil((reach - math.log(_UNSEEN_HAZARD)) / _STEP_IN_U / _NODES_APART)
     for many in np.unique(nodes[nodes > 0]):
-        u = _STEP * np.arange(-many * _NODES_APART, many * _NODES_APART + 1)
+        u = _STEP_IN_U * np.arange(-many * _NODES_APART, many * _NODES_APART + 1)
         alike = np.flatnonzero(nodes == many)
-        for part in np.array_split(alike, math.ceil(alike.size * u.size / _AT_ONCE)):
+        for part in np.array_split(
+            alike, math.ceil(alike.size * u.size / _RATES_AT_ONCE)
+        ):
             y = x_flat[part, None] * special.expit(u)
-            per_u = rate(contacts, y, xi0.ravel()[part, None]) * y
-            found[part] = per_u @ (_STEP * special.expit(-u))
+            per_u = rate_along(contacts, y, xi0.ravel()[part, None]) * y
+            found[part] = per_u @ (_STEP_IN_U * special.expit(-u))
     return found.reshape(x.shape)

@@ -487,7 +487,7 @@ def _along(s: Reduced, xi: Array, x: Array) -> Array:
     life, where the nodes crowd."""
 
     def rate(y: Array, born: Array) -> Array:
-        return flow.rate(s, y, born)
+        return flow.rate_along(s, y, born)
 
     found = integrate.tanhsinh(
         rate, 0.0, x, args=(xi,), atol=1e-9, rtol=1e-7, maxlevel=12
