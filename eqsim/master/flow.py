@@ -110,55 +110,40 @@ class _PathIntegrals(NamedTuple):
     blind: Array
 
 
-def _on_path(
-    contacts: Reduced, xi0: Array, end: Array, left: Array, right: Array
-) -> tuple[Array, Array, Array]:
-    """Stretch, dx/dt and rate at the nodes t of panels of paths, shape (panels, nodes)."""
-    half = 0.5 * (right - left)[:, None]
-    phi = left[:, None] + half * (1 + ClenshawCurtis.nodes)
-    # x = end sin^2(phi) makes a stiff rate smooth at the threshold
-    x = end[:, None] * np.sin(phi) ** 2
-    width = half * end[:, None] * np.sin(2 * phi)
-    return x, width, rate_along(contacts, x, xi0[:, None])
-
-
 def _integrals(
     contacts: Reduced, xi0: Array, end: Array, left: Array, right: Array
 ) -> Array:
     """`_PathIntegrals`, as rows, of paths from births `xi0` to `end`, each of shape
     (panels,)."""
-    x, width, per_x = _on_path(contacts, xi0, end, left, right)
-    xi0, hazard = xi0[:, None], per_x * width
+    half, xi0 = 0.5 * (right - left)[:, None], xi0[:, None]
+    phi = left[:, None] + half * (1 + ClenshawCurtis.nodes)
+    # x = end sin^2(phi) makes a stiff rate smooth at the threshold
+    x = end[:, None] * np.sin(phi) ** 2
+    width = half * end[:, None] * np.sin(2 * phi)  # dx/dt
+    per_x = rate_along(contacts, x, xi0)
+    hazard = per_x * width
     # where the panel is too wide for its polynomial, that may be negative
     passed = np.maximum(hazard @ ClenshawCurtis.cumulative, 0.0)
     alive = np.exp(-passed) * width
-    integrands = np.array(
-        [
-            alive,
-            alive * kappa_along(contacts, xi0, xi0 * contacts.aging.growth_at(x)) * x,
-        ]
-    )
+    kappa = kappa_along(contacts, xi0, xi0 * contacts.aging.growth_at(x))
+    integrands = np.array([alive, alive * kappa * x])
     # the least barrier on any piece of a path is at one of its ends, and that at the
     # end of life is 0
-    first = left == 0
-    peak = np.where(
-        first,
-        np.maximum(per_x[:, 0], per_x[:, -1]),
-        rate_along(contacts, x[:, 0], xi0[:, 0], 0.0),
-    ) * np.ptp(x, axis=1)
-    whole = passed[:, -1]
+    first, whole = left == 0, passed[:, -1]
+    bare = rate_along(contacts, x[:, 0], xi0[:, 0], 0.0)
+    peak = np.where(first, np.maximum(per_x[:, 0], per_x[:, -1]), bare)
+    peak *= np.ptp(x, axis=1)
     blind = (peak > _RARE_HAZARD) & ((peak > 20 * whole) | (first & (whole > 0.5)))
     blind &= first | ((right == _FIRST_PANELS[-1]) & (np.cos(left) > 1e-7))
-    tails = np.abs(
-        np.concatenate((hazard[None], integrands)) @ ClenshawCurtis.tail
-    ).sum(axis=2)
-    return np.concatenate(
-        (whole[None], integrands @ ClenshawCurtis.weights, tails, blind[None])
-    )
+    every = np.concatenate((hazard[None], integrands))
+    tails = np.abs(every @ ClenshawCurtis.tail).sum(axis=2)
+    sums = integrands @ ClenshawCurtis.weights
+    return np.concatenate((whole[None], sums, tails, blind[None]))
 
 
 def path_moments(contacts: Reduced, xi0: Array) -> tuple[Array, Array]:
-    """Moments of lives along paths.
+    """Moments of lives along paths. Panels are split until the highest coefficients of
+    the hazard, times the life that is left, and of the integrands are negligible.
 
     Parameters
     ----------
@@ -170,55 +155,37 @@ def path_moments(contacts: Reduced, xi0: Array) -> tuple[Array, Array]:
     moments, errors : ndarray, shape (2, n)
         int S dx and int kappa x S dx, and bounds of their errors.
     """
-    _, found = _resolved(contacts, xi0, ends(contacts, xi0))
-    return found
+    n, end = xi0.size, ends(contacts, xi0)
 
-
-def _resolved(
-    contacts: Reduced, xi0: Array, end: Array
-) -> tuple[Panels, tuple[Array, Array]]:
-    """The panels of paths from births `xi0` to `end`, (n,), and what `path_moments`
-    returns.
-
-    Panels are split until the highest coefficients of the hazard, times the life that
-    is left, and of the integrands are negligible.
-    """
-    n = xi0.size
+    def evaluate(left: Array, right: Array, path: Array) -> Array:
+        return _integrals(contacts, xi0[path], end[path], left, right)
 
     def judge(panels: Panels) -> tuple[Array, tuple[Array, Array]]:
-        of = _PathIntegrals(*panels.values)
-        counts = np.bincount(panels.interval, minlength=n)
-        at = (
-            panels.interval,
-            np.arange(panels.interval.size)
-            - np.repeat(np.cumsum(counts) - counts, counts),
-        )
+        of, path = _PathIntegrals(*panels.values), panels.interval
+        counts = np.bincount(path, minlength=n)
+        panel = np.arange(path.size) - np.repeat(np.cumsum(counts) - counts, counts)
         table = np.zeros((3, n, counts.max() + 1))
-        table[0, at[0], at[1] + 1] = of.hazard
-        alive = np.exp(-table[0].cumsum(axis=1)[at])
-        table[1:, at[0], at[1]] = alive * panels.values[1:3]
+        table[0, path, panel + 1] = of.hazard
+        alive = np.exp(-table[0].cumsum(axis=1)[path, panel])
+        table[1:, path, panel] = alive * panels.values[1:3]
         moments = table[1:].sum(axis=2)
-        onward = table[1:, :, ::-1].cumsum(axis=2)[:, :, ::-1][:, at[0], at[1]]
+        onward = table[1:, :, ::-1].cumsum(axis=2)[:, :, ::-1][:, path, panel]
         errors = alive * panels.values[4:6] + (of.hazard_tail + of.blind) * onward
-        rough = (errors > _RESOLVED_PATH * moments[:, panels.interval]).any(axis=0) & (
-            panels.right - panels.left > 1e-14 * panels.right
-        )
+        rough = (errors > _RESOLVED_PATH * moments[:, path]).any(axis=0)
+        rough &= panels.right - panels.left > 1e-14 * panels.right
         rough |= (of.blind > 0) & (alive > _DEAD)
-        return rough & (panels.right > _SHORTEST_STRETCH), (
-            moments,
-            np.array([np.bincount(panels.interval, e, n) for e in errors]),
-        )
+        missed = np.array([np.bincount(path, error, n) for error in errors])
+        return rough & (panels.right > _SHORTEST_STRETCH), (moments, missed)
 
-    return refined(
-        lambda left, right, path: _integrals(
-            contacts, xi0[path], end[path], left, right
-        ),
+    _, (moments, missed) = refined(
+        evaluate,
         judge,
         _FIRST_PANELS,
         intervals=n,
         pieces=_EVEN,
         pieces_at_0=_TOWARDS_0,
     )
+    return moments, missed
 
 
 def moments_along_paths(contacts: Reduced) -> LifeMoments:

@@ -199,12 +199,11 @@ def hazard_of(contacts: Reduced) -> Hazard:
     """Own attempts, or pooled ones."""
     barrier = contacts.barrier
     if not barrier.thermal:
-        nothing = np.empty(0)
-        return Hazard(
-            lambda gap, *_: 0.0 * gap,
-            lambda xi, *_: np.broadcast_to(nothing, (xi.size, 0)),
-            lambda xi: np.broadcast_to(nothing, (xi.size, 0)),
-        )
+
+        def nowhere(xi: Array, *_: object) -> Array:
+            return np.empty((xi.size, 0))
+
+        return Hazard(lambda gap, *_: 0.0 * gap, nowhere, nowhere)
     if contacts.annealed:
         return _hazard_of_pool(contacts)
 
