@@ -300,10 +300,9 @@ def test_error_estimate(case, monkeypatch):
     fine = survival(*case)
     assert fine.stretch_error < 3e-5 * fine.stretch
     assert fine.work_error < 3e-5 * fine.work
-    monkeypatch.setattr(fokker_planck, "_FINEST_CELL", 2 * fokker_planck._FINEST_CELL)
-    monkeypatch.setattr(
-        fokker_planck, "_ERROR_OF_STEP", 16 * fokker_planck._ERROR_OF_STEP
-    )
+    for name, factor in (("_FINEST_CELL", 2), ("_ERROR_OF_STEP", 16)):
+        rough = factor * getattr(fokker_planck, name)
+        monkeypatch.setattr(fokker_planck, name, rough)
     coarse = survival(*case)
     assert abs(coarse.stretch - fine.stretch) < coarse.stretch_error
     assert abs(coarse.work - fine.work) < coarse.work_error
@@ -333,9 +332,8 @@ def test_order(case):
     first = fokker_planck._solve_along(life, fokker_planck._Grid(life, 0.12))
 
     def totals(dz, stops):
-        return fokker_planck._solve_along(
-            life, fokker_planck._Grid(life, dz), stops
-        ).totals[:, -1]
+        grid = fokker_planck._Grid(life, dz)
+        return fokker_planck._solve_along(life, grid, stops).totals[:, -1]
 
     one, two, three = (totals(dz, first.x) for dz in (0.12, 0.06, 0.03))
     assert (one - two) / (two - three) == pytest.approx(4.0, abs=0.5)

@@ -528,12 +528,8 @@ def test_slow_growth_is_none(law, stiffness):
         # 1e-8 of the smooth laws' interpolation; kinks of a density are resolved to
         # 1e-3 in ln x
         off = 1e-4 if law is LAWS["histogram"] or law is LAWS["uniform"] else 2e-8
-        np.testing.assert_allclose(
-            survivor_moments(slow, x)[0],
-            survivor_moments(still, x)[0],
-            rtol=0,
-            atol=off,
-        )
+        both = [survivor_moments(s, x)[0] for s in (slow, still)]
+        np.testing.assert_allclose(*both, rtol=0, atol=off)
 
 
 def test_ends_of_the_ranges():

@@ -129,9 +129,8 @@ def test_annealed_laws_with_edges(name, law):
         assert m[:2] == pytest.approx(plain, rel=1e-8, abs=0)
         assert m.stretch_error < 1e-9 * m.stretch
         assert m.work_error < 1e-9 * m.work
-        moved = annealed_of(
-            law, stiffness, barrier, b * 1.0001**2, math.log(w * 1.0001)
-        )
+        more = b * 1.0001**2, math.log(w * 1.0001)
+        moved = annealed_of(law, stiffness, barrier, *more)
         assert abs(1.0001 * moved.stretch / plain[0] - 1) > 1e-5
 
 
@@ -289,9 +288,8 @@ def test_quenched_lives_much_shorter_than_any_threshold(barrier, stiffness):
 
 def test_heavy_tailed_short_lives():
     """Stiff, uniform, b = 1, log_w = 50: C = 2.2494e-19 (five digits)."""
-    assert quenched_of(
-        Gamma(1.0), "uniform", "stiff", 1.0, 50.0
-    ).stretch == pytest.approx(2.2494e-19, rel=3e-5, abs=0)
+    found = quenched_of(Gamma(1.0), "uniform", "stiff", 1.0, 50.0)
+    assert found.stretch == pytest.approx(2.2494e-19, rel=3e-5, abs=0)
 
 
 @chosen("n", [0.0, 0.37, 1.0, 30.0], [0.0, 30.0])
@@ -355,7 +353,7 @@ def test_levels_are_where_the_hazard_says():
 def test_survivors(law, barrier, stiffness):
     """S, E[k] and E[k^2] against adaptive quadrature over thresholds, cut where S
     passes 1/2, to 1e-10 of their values at 0. A temperature 1e-4 off shows."""
-    rms = law.rms
+    rms, laws = law.rms, (stiffness, barrier)
 
     def hazard(b, log_w, x, xi):
         """ln((omega/v) H(x)) through the bare rate at its end: closed forms written
@@ -381,12 +379,8 @@ def test_survivors(law, barrier, stiffness):
         (30.0, 4.0, 0.6),
         (1e6, 30.0, 0.2),
     ):
-        found, off = (
-            survivor_moments(
-                contacts(law, stiffness, barrier, f * b, log_w), np.array([x])
-            )[0]
-            for f in (1.0, 1.0001)
-        )
+        near = [contacts(law, *laws, f * b, log_w) for f in (1.0, 1.0001)]
+        found, off = (survivor_moments(s, np.array([x]))[0] for s in near)
         depth = np.geomspace(1e-12, 8.0, 241)
         drop = [hazard(b, log_w, x, x + d) > -0.37 for d in depth]
         middle = 0.0

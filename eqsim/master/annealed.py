@@ -85,8 +85,8 @@ class Ageing(NamedTuple):
 def annealed_moments(
     every: Sequence[Reduced], ageing: Ageing | None = None
 ) -> list[LifeMoments]:
-    """Moments of lives of annealed contacts, one for each of `every`, which differ in velocity only. Raises
-    InputError for a discrete law of more than 1000 thresholds."""
+    """Moments of lives of annealed contacts, one for each of `every`, which differ in
+    velocity only. Raises InputError for a discrete law of more than 1000 thresholds."""
     if every[0].law.steps.size:
         return [_moments_of_steps(contacts) for contacts in every]
     return [LifeMoments(*row) for row in _Solution(every, ageing).moments().T.tolist()]
@@ -133,7 +133,7 @@ def _mixture(law: ThresholdLaw, ageing: Ageing | None) -> _Mixture:
 
 
 class _PanelIntegrals(NamedTuple):
-    """What panels add to C and to work, their errors, shapes (2, velocities, panels),
+    """Contributions of panels to C and to work, their errors, shapes (2, velocities, panels),
     and exp(-Delta U) where the last panel begins, shape (velocities,)."""
 
     parts: Array
@@ -239,7 +239,7 @@ class _Solution:
         return _PanelIntegrals(parts, errors, alive[:, -1, 0])
 
     def judge(self, panels: Panels) -> tuple[Array, _PanelIntegrals]:
-        """Which panels are too rough at any velocity, and their integrals. The fixed
+        """Find panels that are too rough at any velocity, and the integrals. The fixed
         point C is found on the first panels, and again when none is too rough."""
         rough, of = self.too_rough(panels)
         new = panels.left.size != self.settled_on
@@ -317,9 +317,9 @@ def _sums_onward(parts: Array) -> Array:
 def successful_attempts(
     contacts: Reduced, y: Array, *, above: Array | None = None, finer: bool = False
 ) -> Array:
-    """(omega/v) h(y), successful attempts per unit displacement, shape (n,). A discrete
-    law has thresholds left of the jump at y if they are greater than `above`, by default
-    y."""
+    """(omega/v) h(y), successful attempts per unit displacement, shape (n,). Thresholds
+    of a discrete law count that are greater than `above`, by default y: within a panel
+    that begins or ends at one of them, its middle."""
     law, stiffness, barrier = contacts.law, contacts.stiffness, contacts.barrier
     b, log_w = barrier.b, barrier.log_w
     if not law.steps.size:

@@ -63,7 +63,8 @@ class StationaryState:
         if self.ensemble.newborn.active:
             law = self.ensemble.newborn.law
             raise InputError(
-                f'newborn.law = "{law}": the densities are those of contacts born unstretched'
+                f'newborn.law = "{law}": the densities are those of contacts born '
+                "unstretched"
             )
         return reduced(self.ensemble, self.drive.velocity)
 
@@ -144,7 +145,8 @@ class StationaryState:
         """The numbers of contacts whose law has a density."""
         if self._reduced.law.steps.size:
             raise InputError(
-                f"thresholds = {self.ensemble.thresholds!r}: this needs a law with a density"
+                f"thresholds = {self.ensemble.thresholds!r}: this needs a law with a "
+                "density"
             )
         return self._reduced
 
@@ -152,7 +154,8 @@ class StationaryState:
         """The numbers of contacts that the published functions describe."""
         if self.ensemble.disorder == "quenched" and self._reduced.barrier.thermal:
             raise InputError(
-                'disorder = "quenched": the published functions describe "annealed" contacts (or kT = 0)'
+                'disorder = "quenched": the published functions describe "annealed" '
+                "contacts (or kT = 0)"
             )
         return self._smooth()
 

@@ -4,7 +4,8 @@ their paths.
 A contact born with threshold xi0 has, at stretch x (its displacement since birth), the
 deterministic threshold xi(x) = xi0 s(x). Under `flow`
 
-    s(x)^2 = rho^2 - (rho^2 - 1) exp(-alpha x),   rho = x_*f/x_*i,   alpha = 4 D x_*i/(v x_*f^2)
+    s(x)^2 = rho^2 - (rho^2 - 1) exp(-alpha x),
+    rho = x_*f/x_*i,   alpha = 4 D x_*i/(v x_*f^2)
 
 in units of x_*i, the scale of the newborn law: at every age the law of unbroken
 thresholds is that of the Smoluchowski equation from P_ci to P_cf, without its

@@ -50,7 +50,8 @@ from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.roots import bisected
 from eqsim.numerics.tables import Array
 
-# Levels of ln Lambda where panels end, and their distance beyond, where 1/p is followed.
+# Levels of ln Lambda where panels end, and their distance beyond, where the solution
+# follows 1/p.
 _SPENT = np.array([-36.0, -24.0, -16.0, -10.0, -6.0, -3.0, -1.5, -0.5, 0.25, 1.0, 1.75,
                    2.5, 3.25, 4.0])  # fmt: skip
 _SPENT_APART = 5.0
@@ -559,7 +560,7 @@ class _Sweep:
         return (rule.weights @ integrand).sum(axis=0), integrand
 
     def judge(self, panels: Panels) -> tuple[Array, tuple[Array, Array]]:
-        """Which panels are too rough; means over births and what they miss."""
+        """Find panels that are too rough; means over births and what they miss."""
         found = self.combined(panels, np.moveaxis(panels.values, -1, 0))
         mean, integrand = self.weighed(panels, found)
         tail = np.abs(ClenshawCurtis.tail.T @ found).sum(axis=1)
@@ -575,7 +576,7 @@ class _Sweep:
         return rough & wide, (mean, missed.sum(axis=0))
 
     def first_stretches(self) -> Array:
-        """Ends of the first panels, from the lowest birth up to where nothing survives."""
+        """Ends of the first panels, from the lowest birth to where nothing survives."""
         law, at = self.contacts.law, marks_of_births(self.births)
         up, top = self.steps, float(self.steps.max(initial=0.0))
         if not law.steps.size:

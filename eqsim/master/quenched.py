@@ -5,7 +5,7 @@ Without aging a contact of threshold xi survives to stretch x < xi with S(x|xi) 
 exp(-(omega/v) H(x)), H the closed form of `laws.barrier`. The joint density of pinned
 contacts is P_c(xi) S(x|xi)/C on 0 <= x < xi, with
 
-    C = E[int_0^xi S dx],        friction * C = E[(k_i/k) int_0^xi x S dx]        (no delay).
+    C = E[int_0^xi S dx],      friction * C = E[(k_i/k) int_0^xi x S dx]      (no delay).
 
 Inside, x = xi sin^2(phi) makes the integrand smooth at xi, and Gauss-Legendre panels
 end where the integrated hazard passes levels, from the first one of the slowest drive
@@ -94,8 +94,8 @@ def kappa_of(contacts: Reduced, xi: Array) -> Array:
 
 
 def ends(contacts: Reduced, xi: Array) -> Array:
-    """Where contacts born with thresholds `xi`, any shape, break mechanically: the root
-    of xi s(x) = x if they age."""
+    """Stretches at which contacts born with thresholds `xi`, any shape, break
+    mechanically: the roots of xi s(x) = x if they age."""
     if contacts.aging.closed:
         return xi
     found = elementwise.find_root(
@@ -325,8 +325,8 @@ def rarest_that_counts(barrier: Barrier) -> float:
     return _COMMON + min(max(2.0 * barrier.log_w, 0.0), 455.0)
 
 
-# It takes 1 ms, or 2 s where SciPy finds quantiles numerically, and a transient asks for
-# it 30 times.
+# It takes 1 ms, or 2 s where SciPy finds quantiles numerically, and a transient asks
+# for it 30 times.
 @functools.lru_cache(maxsize=8)
 def _ranks_of(law: ThresholdLaw) -> tuple[Array, Array]:
     """-ln J_c and the thresholds that have it: only panels depend on this table."""
@@ -366,7 +366,7 @@ def thresholds_above(
 
 
 def stiffness_of_survivors(contacts: Reduced, x: Array) -> tuple[Array, Array]:
-    """E[kappa | xi > x] and E[kappa^2 | xi > x] at x > 0, shape (n,), of a smooth law."""
+    """E[kappa | xi > x] and E[kappa^2 | xi > x] of a smooth law at x > 0, (n,)."""
     if contacts.stiffness == "uniform":
         return np.ones_like(x), np.ones_like(x)
     law = contacts.law

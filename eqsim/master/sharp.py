@@ -44,7 +44,7 @@ class Levels(NamedTuple):
 
 
 class Corners(NamedTuple):
-    """Where the slider is: times and displacements of ends of segments, from 0 on,
+    """The course of the slider: times and displacements of ends of segments, from 0 on,
     arrays (corners,)."""
 
     t: Array
@@ -80,7 +80,7 @@ def levels_of(law: ThresholdLaw) -> Levels:
 def passages(
     corners: Corners, t: float, xi: Array, growth: Callable[[Array], Array] | None
 ) -> Array:
-    """When contacts born at an instant are first stretched by thresholds, ascending,
+    """Times when contacts born at an instant are first stretched by thresholds, ascending,
     that are xi at birth and grow by `growth` with age; infinite if never."""
     after = corners.t > t
     times = np.append(t, corners.t[after])
@@ -114,7 +114,7 @@ def passages(
 
 
 def _again(corners: Corners, X: float, since: int) -> float:
-    """When the slider passes X again after a corner."""
+    """The time when the slider passes X again after a corner."""
     side = np.sign(corners.X[since + 1 :] - X)
     moved = np.flatnonzero(side)
     if moved.size == 0:
@@ -135,7 +135,7 @@ def _turns(corners: Corners) -> list[int]:
 
 
 def _resumed(corners: Corners, t: float) -> list[float]:
-    """When contacts born at an instant, which have been less stretched since, are
+    """Times when contacts born at an instant, which have been less stretched since, are
     stretched more than ever."""
     after = np.flatnonzero(corners.t > t)
     here = np.interp(t, corners.t, corners.X)

@@ -206,7 +206,8 @@ def _delay_of(ensemble: Ensemble, velocity: float) -> float:
 
 
 # It takes 1 ms to 1 s, and a fit, a sweep or a reference may change the delay or the
-# viscosity alone; 128 of the longest lists of velocities that are fitted are below 1 MB.
+# viscosity alone; 128 of the longest lists of velocities that are fitted are within
+# 1 MB.
 @functools.lru_cache(maxsize=128)
 def lives_of(
     ensemble: Ensemble, velocities: tuple[float, ...], square: bool = False
@@ -242,8 +243,8 @@ def settled(ensemble: Ensemble, velocity: float) -> Reduced:
 
 
 def _with_square(contacts: Reduced, moments: LifeMoments) -> LifeMoments:
-    """Moments of contacts born unstretched with E[int kappa^2 x^2 dx], in closed form or
-    from the profile of a life."""
+    """Moments of contacts born unstretched with E[int kappa^2 x^2 dx], by quadrature
+    over thresholds or from the profile of a life."""
     if contacts.aging.closed and not contacts.annealed:
         (closed,) = moments_of([contacts], square=True)
         square, error = closed.square, closed.square_error

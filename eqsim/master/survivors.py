@@ -1,8 +1,8 @@
 """Survivors of a travel l from birth (derived).
 
 A contact born at y with threshold xi is there after a travel l with the chance
-exp(-(Lambda(y + l) - Lambda(y))) while y + l < xi, or while l < xi s(l) if its threshold
-grows by s(l). Differences of Lambda are written from the upper end, so that nothing
+exp(-(Lambda(y + l) - Lambda(y))) while y + l < xi, or while l < xi s(l) if thresholds
+grow by s(l). Differences of Lambda are written from the upper end, so that nothing
 cancels however short l is. Means are by Gauss-Legendre panels over births, which end
 where lives of contacts born there change their character at this travel, and over
 thresholds, which end at fixed shares of the stronger contacts and where the hazard
@@ -225,7 +225,7 @@ def _published_survivors(contacts: Reduced, y: Array, travel: Array) -> Array:
 
 
 def _passed(contacts: Reduced, y: Array, travel: Array, xi: Array) -> Array:
-    """Lambda(y + travel) - Lambda(y) of contacts of thresholds xi, arrays of one shape."""
+    """Lambda(y + travel) - Lambda(y) of thresholds xi, arrays of one shape."""
     barrier = contacts.barrier
     if not barrier.thermal:
         return np.zeros(xi.shape)
@@ -276,7 +276,7 @@ def _passed_up_to(contacts: Reduced, x: Array, way: Array, xi: Array) -> Array:
 
 
 def kinks_of_survival(contacts: Reduced) -> Array:
-    """Travels at which the survival of contacts born stretched, or its slope, may jump."""
+    """Travels at which survival of contacts born stretched, or its slope, may jump."""
     births, law = law_of_births(contacts), contacts.law
     at = law.kinks / law.scale
     if contacts.newborn.of == "threshold":

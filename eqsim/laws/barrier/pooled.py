@@ -271,7 +271,7 @@ def pooled_hazard(
 
 
 def _pooled_cells(log_y: Array, rate: Callable[[Array], Array]) -> PooledHazard:
-    """G at nodes ln y, between which 3 points of the rate, a function of ln y, will do."""
+    """G at nodes ln y, from three points of the rate, a function of ln y, in between."""
     inner, weights = gauss_legendre(3).between(log_y[:-1], log_y[1:])
     cells = weights * np.exp(inner) * rate(inner.ravel()).reshape(inner.shape)
     y, h = np.exp(log_y), rate(log_y)
@@ -289,7 +289,8 @@ def _pooled_steps(
     xi = np.unique(law.steps) / law.scale
     if xi.size > MOST_POOLED_STEPS:
         raise InputError(
-            f"thresholds: {xi.size} different values; annealed disorder at kT > 0 takes at most {MOST_POOLED_STEPS}"
+            f"thresholds: {xi.size} different values; annealed disorder at kT > 0 takes "
+            f"at most {MOST_POOLED_STEPS}"
         )
     weight = np.unique(law.steps, return_counts=True)[1] / law.steps.size
     a = b * relative_stiffness(stiffness, xi, law.rms / law.scale)
@@ -349,7 +350,7 @@ def _monotone(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
 def pooled_hazard_of(
     law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float
 ) -> PooledHazard:
-    """`pooled_hazard`, remembered: it does not depend on velocity."""
+    """Cached `pooled_hazard`, which does not depend on velocity."""
     return pooled_hazard(law, stiffness, barrier, b)
 
 
@@ -361,7 +362,7 @@ class _PooledNumbers(NamedTuple):
 
 
 class Pooled(_PooledNumbers, Law):
-    """What a kernel needs of annealed contacts: ln(omega x_*/v) and the pooled hazard."""
+    """Annealed contacts for kernels: ln(omega x_*/v) and the pooled hazard."""
 
     __slots__ = ()
     thermal: ClassVar[bool] = True
@@ -515,7 +516,7 @@ def _rise_in(
 
 @routine(inline=True)
 def _inverse(x: Array, G: Array, slopes: Array, target: float) -> float:
-    """Where G = target; infinite if G never gets there."""
+    """The stretch where G = target; infinite if G never gets there."""
     last = G.size - 1
     if target >= G[last]:
         return math.inf
