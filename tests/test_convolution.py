@@ -209,7 +209,7 @@ def test_panels_across_a_kink_are_seen(monkeypatch):
     """Negative control: without panels that end where a density jumps, and are split
     where one is missed."""
     monkeypatch.setattr(Uniform, "kinks", property(lambda _: np.empty(0)))
-    monkeypatch.setattr("eqsim.master.profile._NARROWEST", 0.05)
+    monkeypatch.setattr("eqsim.master.profile._NARROWEST_IN_LN_X", 0.05)
     contacts = Contacts(Uniform(0.9, 1.1))
     assert (
         max(z.max() for z in scores(Case(ensemble_of(contacts), contacts, 3.0, 16)))

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from eqsim.laws.threshold import Gamma
 from eqsim.master import flow, quenched
-from eqsim.master.survivors import survivors
+from eqsim.master.survivors import survivor_moments
 
 ROWS = aging("flow")
 LAW = Gamma(1.0)
@@ -29,17 +29,18 @@ def at(row, alpha_factor=1.0):
     b = row.stiffness * unit**2 / (2 * row.kT)
     alpha = alpha_factor * 4 * row.rate * unit / (row.velocity * row.x_star_final**2)
     log_w = math.log(row.attempt_frequency * unit / row.velocity)
-    m = flow.moments_along_paths(
-        contacts(
-            Gamma(row.n, unit), row.stiffness_law, row.barrier, b, log_w, final, alpha
-        )
+    m = aged_of(
+        Gamma(row.n, unit), row.stiffness_law, row.barrier, b, log_w, final, alpha
     )
     cycle = unit * m.stretch + row.velocity * row.delay
     return unit**2 * m.work / cycle, unit * m.stretch / cycle, unit * m.stretch
 
 
+def aged_of(*case):
+    return flow.moments_along_paths(contacts(*case))
+
+
 def still_of(*case):
-    """Moments of contacts that do not age."""
     return quenched.quenched_moments([contacts(*case)])[0]
 
 
@@ -66,11 +67,12 @@ def test_zero_temperature(v, value):
     """x_*i = .1, x_*f = 1, D = .1: the six printed digits; S(x) = J_ci(x/s(x)); its
     integral is C."""
     alpha = 4 * 0.1 * 0.1 / v
-    m = flow.moments_along_paths(contacts(LAW, "uniform", *COLD, 10.0, alpha))
+    m = aged_of(LAW, "uniform", *COLD, 10.0, alpha)
     assert 0.1 * m.work / m.stretch == pytest.approx(value, abs=6e-7)
     x = np.geomspace(1e-15, 70.0, 2500)
     s = np.sqrt(100 - 99 * np.exp(-alpha * x))
-    survive, k1, k2 = survivors(contacts(LAW, "uniform", *COLD, 10.0, alpha), x)[0]
+    cold = contacts(LAW, "uniform", *COLD, 10.0, alpha)
+    survive, k1, k2 = survivor_moments(cold, x)[0]
     np.testing.assert_allclose(survive, LAW.sf(x / s), rtol=0, atol=1e-8)
     assert np.array_equal(survive, k1)
     assert np.array_equal(survive, k2)
@@ -97,17 +99,13 @@ def test_limits_of_slow_and_fast_aging(law, final):
     barrier, stiffness = law
     for b, log_w in itertools.product((0.1, 30.0, 1e5), (-3.0, 3.0, 12.0)):
         still = still_of(LAW, stiffness, barrier, b, log_w)
-        slow = flow.moments_along_paths(
-            contacts(LAW, stiffness, barrier, b, log_w, final, 1e-13)
-        )
+        slow = aged_of(LAW, stiffness, barrier, b, log_w, final, 1e-13)
         assert slow[:2] == pytest.approx(still[:2], rel=1e-9, abs=0)
         more = final if stiffness == "sqrt" else 1.0
         aged = still_of(
             LAW, stiffness, barrier, b * final**2 * more, log_w + math.log(final)
         )
-        fast = flow.moments_along_paths(
-            contacts(LAW, stiffness, barrier, b, log_w, final, 1e16)
-        )
+        fast = aged_of(LAW, stiffness, barrier, b, log_w, final, 1e16)
         assert fast.stretch == pytest.approx(final * aged.stretch, rel=1e-9, abs=0)
         assert fast.work == pytest.approx(final**2 * more * aged.work, rel=1e-9, abs=0)
 
@@ -196,9 +194,7 @@ def test_ends_of_the_ranges():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for stiffness, barrier, b, log_w, final, alpha in WIDE[::5]:
-            m = flow.moments_along_paths(
-                contacts(LAW, stiffness, barrier, b, log_w, final, alpha)
-            )
+            m = aged_of(LAW, stiffness, barrier, b, log_w, final, alpha)
             assert np.all(np.isfinite(m[:4]))
             assert 0 < m.stretch <= (1 + 1e-9) * max(final, 1.0) * LAW.mean
             assert 0 < m.stretch_error < 1e-9 * m.stretch
@@ -208,17 +204,13 @@ def test_ends_of_the_ranges():
 def test_errors_cover_a_refined_result(monkeypatch):
     """The quoted error against the difference from panels resolved a thousand times
     better (to rounding, 2e-14)."""
-    cases = [
-        (*case, m)
-        for case in WIDE[::11]
-        for m in [flow.moments_along_paths(contacts(LAW, *case))]
-    ]
-    monkeypatch.setattr(flow, "_RESOLVED", 1e-14)
+    cases = [(*case, m) for case in WIDE[::11] for m in [aged_of(LAW, *case)]]
+    monkeypatch.setattr(flow, "_RESOLVED_PATH", 1e-14)
     monkeypatch.setattr(flow, "_CONVERGED_BIRTHS", 1e-14)
     monkeypatch.setattr(quenched, "_BIRTHS", np.linspace(-34.7, 6.2, 60))
-    monkeypatch.setattr(flow, "_SHORTEST", 64.0**-25)
+    monkeypatch.setattr(flow, "_SHORTEST_STRETCH", 64.0**-25)
     for *case, m in cases:
-        fine = flow.moments_along_paths(contacts(LAW, *case))
+        fine = aged_of(LAW, *case)
         assert abs(m.stretch - fine.stretch) < m.stretch_error + 2e-14 * m.stretch
         assert abs(m.work - fine.work) < m.work_error + 2e-14 * m.work
 
@@ -233,12 +225,8 @@ def test_survivors(final, law):
         np.arange(math.log(7.5 * max(1.0, final)), math.log(1e-15), -0.015)[::-1]
     )
     for b, log_w, alpha in [(0.3, 2.0, 1.0), (30.0, 12.0, 0.1), (1e8, 10.0, 1e3)]:
-        values = survivors(
-            contacts(LAW, stiffness, barrier, b, log_w, final, alpha), x
-        )[0]
-        m = flow.moments_along_paths(
-            contacts(LAW, stiffness, barrier, b, log_w, final, alpha)
-        )
+        case = LAW, stiffness, barrier, b, log_w, final, alpha
+        values, m = survivor_moments(contacts(*case), x)[0], aged_of(*case)
         for power, moment in enumerate((m.stretch, m.work)):
             total = CubicSpline(np.log(x), values[power] * x ** (power + 1)).integrate(
                 math.log(x[0]), math.log(x[-1])
@@ -254,7 +242,8 @@ def test_survivors_without_aging(barrier):
     """S, E[k] and E[k^2] at some x against plain quadrature over births of the closed
     form, to 1e-8."""
     x = np.array([1e-3, 0.03, 0.3, 1.0, 2.5])
-    found = survivors(contacts(LAW, "sqrt", barrier, 40.0, 8.0, 2.0, 1e-14), x)[0]
+    slow = contacts(LAW, "sqrt", barrier, 40.0, 8.0, 2.0, 1e-14)
+    found = survivor_moments(slow, x)[0]
     for j, xj in enumerate(x):
         for power in range(3):
 

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from eqsim import Gamma
 from eqsim.master import fokker_planck
 from eqsim.master.quenched import quenched_moments
-from eqsim.master.survivors import survivors
+from eqsim.master.survivors import survivor_moments
 
 ROWS = list(aging("langevin").itertuples())
 
@@ -139,7 +139,7 @@ def test_without_mobility(mobility, case):
     )
     assert abs(life.work / exact.work - 1) < life.work_error / life.work + 1e-11 + slack
     inside = np.flatnonzero(life.x > 1e-6)[:-1]
-    profile = survivors(contacts(Gamma(n), *law), life.x[inside])[0]
+    profile = survivor_moments(contacts(Gamma(n), *law), life.x[inside])[0]
     assert np.all(
         np.abs(life.values[:, inside] - profile)
         < life.errors[:, inside] + 1e-7 * profile[:, :1] + slack
@@ -300,8 +300,9 @@ def test_error_estimate(case, monkeypatch):
     fine = survival(*case)
     assert fine.stretch_error < 3e-5 * fine.stretch
     assert fine.work_error < 3e-5 * fine.work
-    monkeypatch.setattr(fokker_planck, "_CELL", 2 * fokker_planck._CELL)
-    monkeypatch.setattr(fokker_planck, "_TOLERANCE", 16 * fokker_planck._TOLERANCE)
+    for name, factor in (("_FINEST_CELL", 2), ("_ERROR_OF_STEP", 16)):
+        rough = factor * getattr(fokker_planck, name)
+        monkeypatch.setattr(fokker_planck, name, rough)
     coarse = survival(*case)
     assert abs(coarse.stretch - fine.stretch) < coarse.stretch_error
     assert abs(coarse.work - fine.work) < coarse.work_error
@@ -328,12 +329,11 @@ def test_order(case):
     are finite), halving the steps by 16 (fourth order; at least 8, as long as rounding
     does not show)."""
     life = fokker_planck._Life(*numbers(*case))
-    first = fokker_planck._march(life, fokker_planck._Grid(life, 0.12))
+    first = fokker_planck._solve_along(life, fokker_planck._Grid(life, 0.12))
 
     def totals(dz, stops):
-        return fokker_planck._march(life, fokker_planck._Grid(life, dz), stops).totals[
-            :, -1
-        ]
+        grid = fokker_planck._Grid(life, dz)
+        return fokker_planck._solve_along(life, grid, stops).totals[:, -1]
 
     one, two, three = (totals(dz, first.x) for dz in (0.12, 0.06, 0.03))
     assert (one - two) / (two - three) == pytest.approx(4.0, abs=0.5)

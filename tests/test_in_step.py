@@ -13,7 +13,7 @@ from reduced_cases import contacts as contacts_of
 from scipy import integrate, special, stats
 
 from eqsim import Delay, Delta, Distribution, Drive, Ensemble, Gamma, Thermal
-from eqsim.master.survivors import survivors
+from eqsim.master.survivors import survivor_moments
 from eqsim.master.transient import fluctuations, transient
 
 
@@ -231,6 +231,6 @@ def test_contacts_too_strong_to_break_by_heat(stiffness, b):
             contacts_of(Gamma(n), stiffness, "soft", factor * b, log_w)
             for factor in (1.0, 1.01)
         ]
-        found, off = (survivors(s, np.array([x]))[0, 0, 0] for s in near)
+        found, off = (survivor_moments(s, np.array([x]))[0, 0, 0] for s in near)
         assert found == pytest.approx(exact, rel=1e-7, abs=0)
         assert off != pytest.approx(exact, rel=1e-3, abs=0)

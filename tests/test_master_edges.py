@@ -16,7 +16,7 @@ from eqsim import Distribution, Gamma, Table
 from eqsim.laws.barrier import pooled
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master import annealed, flow, quenched
-from eqsim.master.survivors import survivors
+from eqsim.master.survivors import survivor_moments
 
 LAWS = list(itertools.product(["soft", "stiff"], ["uniform", "sqrt"]))
 
@@ -129,9 +129,8 @@ def test_annealed_laws_with_edges(name, law):
         assert m[:2] == pytest.approx(plain, rel=1e-8, abs=0)
         assert m.stretch_error < 1e-9 * m.stretch
         assert m.work_error < 1e-9 * m.work
-        moved = annealed_of(
-            law, stiffness, barrier, b * 1.0001**2, math.log(w * 1.0001)
-        )
+        more = b * 1.0001**2, math.log(w * 1.0001)
+        moved = annealed_of(law, stiffness, barrier, *more)
         assert abs(1.0001 * moved.stretch / plain[0] - 1) > 1e-5
 
 
@@ -240,14 +239,14 @@ def test_annealed_errors_cover_a_refined_result(monkeypatch):
     finer = {
         "_EXPONENTS": np.sort(np.append(pooled._EXPONENTS, between)),
         "_NEAR_ENDS": 10.0 ** np.arange(-13.0, 0.0, 0.5),
-        "_UNSEEN": -60.0,
+        "_UNSEEN_ATTEMPTS": -60.0,
         "_ORDER": 24,
-        "_STEP": 0.04,
+        "_TRAPEZOID_STEP": 0.04,
     }
     for name, value in finer.items():
         monkeypatch.setattr(pooled, name, value)
-    monkeypatch.setattr(annealed, "_RISE", 2.2)
-    monkeypatch.setattr(annealed, "_RESOLVED", 5e-13)
+    monkeypatch.setattr(annealed, "_RISE_IN_X", 2.2)
+    monkeypatch.setattr(annealed, "_RESOLVED_IN_X", 5e-13)
     for case, m in zip(cases, found, strict=True):
         covered(case[0], m, annealed_of(*case))
 
@@ -289,9 +288,8 @@ def test_quenched_lives_much_shorter_than_any_threshold(barrier, stiffness):
 
 def test_heavy_tailed_short_lives():
     """Stiff, uniform, b = 1, log_w = 50: C = 2.2494e-19 (five digits)."""
-    assert quenched_of(
-        Gamma(1.0), "uniform", "stiff", 1.0, 50.0
-    ).stretch == pytest.approx(2.2494e-19, rel=3e-5, abs=0)
+    found = quenched_of(Gamma(1.0), "uniform", "stiff", 1.0, 50.0)
+    assert found.stretch == pytest.approx(2.2494e-19, rel=3e-5, abs=0)
 
 
 @chosen("n", [0.0, 0.37, 1.0, 30.0], [0.0, 30.0])
@@ -355,7 +353,7 @@ def test_levels_are_where_the_hazard_says():
 def test_survivors(law, barrier, stiffness):
     """S, E[k] and E[k^2] against adaptive quadrature over thresholds, cut where S
     passes 1/2, to 1e-10 of their values at 0. A temperature 1e-4 off shows."""
-    rms = law.rms
+    rms, laws = law.rms, (stiffness, barrier)
 
     def hazard(b, log_w, x, xi):
         """ln((omega/v) H(x)) through the bare rate at its end: closed forms written
@@ -381,10 +379,8 @@ def test_survivors(law, barrier, stiffness):
         (30.0, 4.0, 0.6),
         (1e6, 30.0, 0.2),
     ):
-        found, off = (
-            survivors(contacts(law, stiffness, barrier, f * b, log_w), np.array([x]))[0]
-            for f in (1.0, 1.0001)
-        )
+        near = [contacts(law, *laws, f * b, log_w) for f in (1.0, 1.0001)]
+        found, off = (survivor_moments(s, np.array([x]))[0] for s in near)
         depth = np.geomspace(1e-12, 8.0, 241)
         drop = [hazard(b, log_w, x, x + d) > -0.37 for d in depth]
         middle = 0.0

@@ -142,7 +142,7 @@ def test_errors_of_self_consistent_births():
     )
     grown = 1 / (1 - math.log(high / low) / math.log(1.01 / 0.99))
     assert grown > 1.3
-    assert exact.stderr >= 0.999 * grown * annealed._ROUNDING * exact.value
+    assert exact.stderr >= 0.999 * grown * annealed._LEAST_ERROR * exact.value
 
 
 @chosen(
@@ -315,7 +315,7 @@ def test_error_estimates(disorder, monkeypatch):
     if disorder == "quenched":
         monkeypatch.setattr(quenched, "_CONVERGED", 1.0)
     else:
-        monkeypatch.setattr(annealed, "_RESOLVED", 1.0)
+        monkeypatch.setattr(annealed, "_RESOLVED_IN_X", 1.0)
     rough = reference(ensemble, Drive(1e-6))
     for name in ("friction", "break_stretch"):
         a, b = getattr(best, name), getattr(rough, name)

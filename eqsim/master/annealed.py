@@ -32,7 +32,7 @@ from eqsim.errors import InputError
 from eqsim.laws.barrier.pooled import mean_hazard, pooled_rate
 from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.master.quenched import (
-    Moments,
+    LifeMoments,
     beyond,
     different_steps,
     panels_between_steps,
@@ -43,36 +43,36 @@ from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
 # Different thresholds of a discrete law at most, to bound time.
-_MOST_STEPS = 1000
+_MOST_THRESHOLDS = 1000
 
 # -ln J_c where the first panels in x end.
 _MARKS = np.array([1e-4, 0.02, 0.3, 1.0, 2.5, 6.0, 15.0, 40.0, 120.0, 500.0])
 # The factor by which the first of them rise.
-_RISE = 16.0
+_RISE_IN_X = 16.0
 # Where a panel is split: crowded, as the trouble is mostly at its left end.
-_PIECES = np.array([0.0, 0.12, 0.5, 1.0])
+_SPLIT_IN_X = np.array([0.0, 0.12, 0.5, 1.0])
 # The relative error that ends refinement, and its like for a mixture.
-_RESOLVED = 2e-12
+_RESOLVED_IN_X = 2e-12
 _RESOLVED_MIXTURE = 1e-9
 # The narrowest panel, relative to its right end.
 _NARROWEST_IN_X = 1e-14
 # Panels at most.
 _MOST_IN_X = 1500
 # The least relative error that is quoted.
-_ROUNDING = 1e-11
+_LEAST_ERROR = 1e-11
 
 # Nodes of a mixture in ln x_*, at least and per e-fold.
-_FEWEST = 10
+_FEWEST_NODES = 10
 _PER_FOLD = 13.0
 # ln s of the trapezoidal rule over mean pinned times s, and its weights.
 _LOG_S = np.arange(-28.0, math.log(700.0), 0.1)
 _SHARE_OF_S = np.exp(_LOG_S - np.exp(_LOG_S))
 _SHARE_OF_S /= _SHARE_OF_S.sum()
 # The relative step towards the fixed point C that ends the search, and steps at most.
-_SETTLED = 1e-12
+_SETTLED_C = 1e-12
 _MOST_SECANTS = 60
 # The relative change of C whose effect on C tells how errors grow.
-_NUDGE = 1e-4
+_CHANGE_OF_C = 1e-4
 
 
 class Ageing(NamedTuple):
@@ -84,12 +84,12 @@ class Ageing(NamedTuple):
 
 def annealed_moments(
     every: Sequence[Reduced], ageing: Ageing | None = None
-) -> list[Moments]:
-    """Moments of lives of annealed contacts, one for each of `every`, which differ in velocity only. Raises
-    InputError for a discrete law of more than 1000 thresholds."""
+) -> list[LifeMoments]:
+    """Moments of lives of annealed contacts, one for each of `every`, which differ in
+    velocity only. Raises InputError for a discrete law of more than 1000 thresholds."""
     if every[0].law.steps.size:
-        return [_of_steps(contacts) for contacts in every]
-    return [Moments(*row) for row in _Solution(every, ageing).moments().T.tolist()]
+        return [_moments_of_steps(contacts) for contacts in every]
+    return [LifeMoments(*row) for row in _Solution(every, ageing).moments().T.tolist()]
 
 
 class _Mixture(NamedTuple):
@@ -125,15 +125,15 @@ def _mixture(law: ThresholdLaw, ageing: Ageing | None) -> _Mixture:
         return _Mixture([Gamma(law.n, law.x_star * ageing.final)])
     low, high = sorted((0.0, 2.0 * math.log(ageing.final)))
     n = math.ceil(_PER_FOLD * 0.5 * (high - low) * math.sqrt(1.0 + law.n / 2.0))
-    n += _FEWEST
+    n += _FEWEST_NODES
     t = np.cos(math.pi * (np.arange(n) + 0.5) / n)
     scales = law.x_star * np.exp(0.25 * (low + high + (high - low) * t))
     laws: list[ThresholdLaw] = [Gamma(law.n, scale) for scale in scales.tolist()]
     return _Mixture(laws, low, high, np.linalg.inv(chebyshev.chebvander(t, n - 1)))
 
 
-class _Integrals(NamedTuple):
-    """What panels add to C and to work, their errors, shapes (2, velocities, panels),
+class _PanelIntegrals(NamedTuple):
+    """Contributions of panels to C and to work, their errors, shapes (2, velocities, panels),
     and exp(-Delta U) where the last panel begins, shape (velocities,)."""
 
     parts: Array
@@ -165,17 +165,19 @@ class _Solution:
             self.evaluate,
             self.judge,
             self.first_edges(),
-            pieces=_PIECES,
+            pieces=_SPLIT_IN_X,
             most=_MOST_IN_X,
         )
         total = of.total
-        error = of.errors.sum(axis=2) + self.missed_rate(p, of) + _ROUNDING * total
+        error = of.errors.sum(axis=2) + self.missed_rate(p, of) + _LEAST_ERROR * total
         grown = np.ones(len(self.stretch))
         if self.ages:  # an error of C moves births, and these C again
             fewer = self.integrals(p, self.weights(self.stretch, 2))
             error += np.abs(total - fewer.total)
-            moved = self.integrals(p, self.weights(self.stretch * math.exp(_NUDGE)))
-            slope = np.log(moved.total[0] / total[0]) / _NUDGE
+            moved = self.integrals(
+                p, self.weights(self.stretch * math.exp(_CHANGE_OF_C))
+            )
+            slope = np.log(moved.total[0] / total[0]) / _CHANGE_OF_C
             grown = 1.0 / np.maximum(1.0 - slope, 1e-3)
         if not isinstance(self.mixture.laws[0], Gamma):
             rarest = beyond(self.contacts)[:, None] * of.alive
@@ -207,7 +209,7 @@ class _Solution:
         rates = [self.rate(law, x.ravel()).reshape(x.shape) for law in laws]
         return np.array([rates, [law.sf(x * scale) for law in laws]])
 
-    def integrals(self, panels: Panels, weights: Array) -> _Integrals:
+    def integrals(self, panels: Panels, weights: Array) -> _PanelIntegrals:
         """C = int J_c exp(-Delta U) dx and int x exp(-Delta U) E[kappa; xi > x] dx
         (nt13; sqrt law: derived)."""
         rule, h = ClenshawCurtis, 0.5 * (panels.right - panels.left)[:, None]
@@ -229,15 +231,15 @@ class _Solution:
         integrands = np.stack((inside * J, inside * x * stiff)) * alive
         parts = integrands @ rule.weights
         errors = np.abs(integrands @ rule.tail).sum(axis=3)
-        errors += np.abs(hazard @ rule.tail).sum(axis=2) * _onward(parts)
+        errors += np.abs(hazard @ rule.tail).sum(axis=2) * _sums_onward(parts)
         if sqrt_law:  # heavier thresholds of later panels count in all before
             lever = np.cumsum((inside * x * alive) @ rule.weights, axis=1)
             lever /= self.contacts.rms
             errors[1] += np.abs(heavy @ rule.tail).sum(axis=2) * lever
-        return _Integrals(parts, errors, alive[:, -1, 0])
+        return _PanelIntegrals(parts, errors, alive[:, -1, 0])
 
-    def judge(self, panels: Panels) -> tuple[Array, _Integrals]:
-        """Which panels are too rough at any velocity, and their integrals. The fixed
+    def judge(self, panels: Panels) -> tuple[Array, _PanelIntegrals]:
+        """Find panels that are too rough at any velocity, and the integrals. The fixed
         point C is found on the first panels, and again when none is too rough."""
         rough, of = self.too_rough(panels)
         new = panels.left.size != self.settled_on
@@ -247,10 +249,10 @@ class _Solution:
             rough, of = self.too_rough(panels)
         return rough, of
 
-    def too_rough(self, panels: Panels) -> tuple[Array, _Integrals]:
+    def too_rough(self, panels: Panels) -> tuple[Array, _PanelIntegrals]:
         """`judge` at the C that is known."""
         of = self.integrals(panels, self.weights(self.stretch))
-        resolved = _RESOLVED_MIXTURE if self.ages else _RESOLVED
+        resolved = _RESOLVED_MIXTURE if self.ages else _RESOLVED_IN_X
         rough = (of.errors > resolved * of.total[:, :, None]).any(axis=(0, 1))
         width = panels.right - panels.left
         return rough & (width > _NARROWEST_IN_X * panels.right), of
@@ -267,7 +269,7 @@ class _Solution:
         new = old + off
         for _ in range(_MOST_SECANTS):
             fresh = excess(new)
-            if np.max(np.abs(new - old)) < _SETTLED:
+            if np.max(np.abs(new - old)) < _SETTLED_C:
                 break
             with np.errstate(divide="ignore", invalid="ignore"):
                 step = -fresh * (new - old) / (fresh - off)
@@ -275,7 +277,7 @@ class _Solution:
             old, off, new = new, fresh, new + step
         self.stretch = np.exp(new)
 
-    def missed_rate(self, panels: Panels, of: _Integrals) -> Array:
+    def missed_rate(self, panels: Panels, of: _PanelIntegrals) -> Array:
         """Errors of C and work by those of the pooled rate, from a finer rule in the
         middle of panels; eightfold, as that may not be the worst place."""
         middle = 0.5 * (panels.left + panels.right)
@@ -284,7 +286,7 @@ class _Solution:
         here = panels.values[0, :, ClenshawCurtis.nodes.size // 2]
         missed = np.abs(self.weights(self.stretch) @ (finer - here))
         missed *= self.attempts[:, 0] * (panels.right - panels.left)
-        wrong = np.minimum(8.0 * missed, 1.0) * _onward(of.parts)
+        wrong = np.minimum(8.0 * missed, 1.0) * _sums_onward(of.parts)
         return np.asarray(wrong.sum(axis=2))
 
     def first_edges(self) -> Array:
@@ -300,12 +302,14 @@ class _Solution:
         newborn = float(self.attempts.max()) * float(self.rate(law, np.zeros(1))[0])
         root = math.sqrt(barrier.b) if barrier.thermal else 0.0
         first = 0.5 / (1.0 / known.min() + newborn + root)
-        rising = first * _RISE ** np.arange(math.ceil(math.log(top / first, _RISE)))
+        rising = first * _RISE_IN_X ** np.arange(
+            math.ceil(math.log(top / first, _RISE_IN_X))
+        )
         edges = np.unique(np.concatenate(([0.0, least, top], known, rising)))
         return edges[edges <= top]
 
 
-def _onward(parts: Array) -> Array:
+def _sums_onward(parts: Array) -> Array:
     """Sums over each panel and all later ones."""
     return parts[..., ::-1].cumsum(axis=-1)[..., ::-1]
 
@@ -313,9 +317,9 @@ def _onward(parts: Array) -> Array:
 def successful_attempts(
     contacts: Reduced, y: Array, *, above: Array | None = None, finer: bool = False
 ) -> Array:
-    """(omega/v) h(y), successful attempts per unit displacement, shape (n,). A discrete
-    law has thresholds left of the jump at y if they are greater than `above`, by default
-    y."""
+    """(omega/v) h(y), successful attempts per unit displacement, shape (n,). Thresholds
+    of a discrete law count that are greater than `above`, by default y: within a panel
+    that begins or ends at one of them, its middle."""
     law, stiffness, barrier = contacts.law, contacts.stiffness, contacts.barrier
     b, log_w = barrier.b, barrier.log_w
     if not law.steps.size:
@@ -336,10 +340,10 @@ def survivors_of_steps(contacts: Reduced, x: Array) -> Array:
     at ascending x > 0, shape (3, n). Raises InputError for more than 1000 thresholds.
     """
     barrier, (xi, share, kappa) = contacts.barrier, different_steps(contacts)
-    if xi.size > _MOST_STEPS:
+    if xi.size > _MOST_THRESHOLDS:
         raise InputError(
             f"thresholds: {xi.size} different values; the annealed reference takes at "
-            f"most {_MOST_STEPS}"
+            f"most {_MOST_THRESHOLDS}"
         )
     with np.errstate(divide="ignore"):
         log_G = np.log(mean_hazard(type(barrier), x, xi, share, barrier.b * kappa))
@@ -349,7 +353,7 @@ def survivors_of_steps(contacts: Reduced, x: Array) -> Array:
     return np.exp(-dU) * np.array([np.append(tail, 0.0)[above] for tail in tails])
 
 
-def _of_steps(contacts: Reduced) -> Moments:
+def _moments_of_steps(contacts: Reduced) -> LifeMoments:
     """Discrete thresholds: E_P drops at each of them, after a layer in which attempts
     on it succeed."""
     edge = panels_between_steps(contacts)
@@ -360,7 +364,7 @@ def _of_steps(contacts: Reduced) -> Moments:
         return weights.ravel() @ np.stack((survive, stiff * x.ravel()), axis=1)
 
     fine, coarse = integrate(8), integrate(5)
-    return Moments(*fine, *(np.abs(fine - coarse) + _ROUNDING * fine))
+    return LifeMoments(*fine, *(np.abs(fine - coarse) + _LEAST_ERROR * fine))
 
 
 class PooledPolynomials:
@@ -387,11 +391,11 @@ class PooledPolynomials:
             rough = np.abs(ClenshawCurtis.tail.T @ panels.values).sum(axis=0) * width
             total = (ClenshawCurtis.weights @ panels.values * width).cumsum()
             # what counts is how well hazards are known, of all before it and of a life
-            seen = np.minimum(_RESOLVED * np.maximum(total, 1.0), 1e-9)
-            rough = rough > np.maximum(seen, _RESOLVED * total[-1] * 1e-3)
+            seen = np.minimum(_RESOLVED_IN_X * np.maximum(total, 1.0), 1e-9)
+            rough = rough > np.maximum(seen, _RESOLVED_IN_X * total[-1] * 1e-3)
             return rough & (width > 1e-13 * panels.right), None
 
-        p, _ = refined(evaluate, judge, edges, pieces=_PIECES, most=_MOST_IN_X)
+        p, _ = refined(evaluate, judge, edges, pieces=_SPLIT_IN_X, most=_MOST_IN_X)
         self.edges = np.append(p.left, p.right[-1])
         self._half = 0.5 * (p.right - p.left)
         self._coefficients = ClenshawCurtis.coefficients @ p.values

@@ -78,9 +78,8 @@ class Published:
     def dU(self, x: Any, v: float) -> Array:
         """int_0^x H (nt09)."""
         u = np.asarray(x) / self.x_star
-        return np.asarray(
-            self.S_0(v) * (special.erf(u) - self.S_1 * u * np.exp(-(u**2)))
-        )
+        bracket = special.erf(u) - self.S_1 * u * np.exp(-(u**2))
+        return np.asarray(self.S_0(v) * bracket)
 
     def E_P(self, x: Any, v: float) -> Array:
         """Survival to stretch x, J_c exp(-dU) (above nt13)."""
@@ -109,13 +108,8 @@ class Published:
     @property
     def v_star(self) -> float:
         """Crossover velocity, S_0 = 1 (nt12)."""
-        return (
-            self.attempt_frequency
-            * self.x_star
-            / C_0
-            * (1 + self.b / 3)
-            / (1 + self.b) ** 2
-        )
+        attempts = self.attempt_frequency * self.x_star
+        return attempts / C_0 * (1 + self.b / 3) / (1 + self.b) ** 2
 
     @property
     def eta(self) -> float:
@@ -142,14 +136,11 @@ class Published:
         moments of dU itself.
         """
         S_2 = self.attempt_frequency * self.x_star / (np.asarray(v) * (1 + self.b) ** 2)
-        C_1, C_2 = (
-            (0.625 * math.sqrt(math.pi) - C_0, 16 / (9 * math.pi) - 1 / 3)
-            if printed
-            else self._expansion()
-        )
-        return np.asarray(
-            self.f_k0 * (1 - C_1 * S_2 + (C_2 * S_2**2 if order > 1 else 0.0))
-        )
+        C_1, C_2 = self._expansion()
+        if printed:
+            C_1, C_2 = 0.625 * math.sqrt(math.pi) - C_0, 16 / (9 * math.pi) - 1 / 3
+        second = C_2 * S_2**2 if order > 1 else 0.0
+        return np.asarray(self.f_k0 * (1 - C_1 * S_2 + second))
 
     def _expansion(self) -> tuple[float, float]:
         """C_1 and C_2 of nt16 with dU in full: moments of J_c dU^k/S_2^k over u."""
@@ -211,38 +202,23 @@ class PublishedAging:
 
     def S_2(self, v: Any) -> Array:
         """Initial slope of dU in u_i (nt14 of newborn contacts); 0 at kT = 0."""
-        return np.asarray(
-            self.attempt_frequency
-            * self.x_star_initial
-            / (np.asarray(v) * (1 + self.b) ** 2)
-        )
+        attempts = self.attempt_frequency * self.x_star_initial
+        return np.asarray(attempts / (np.asarray(v) * (1 + self.b) ** 2))
 
     def S_3(self, v: Any) -> Array:
         """4 D_v C/x_if^2, D_v = D/v (star4c). C is C[P] of newborn contacts at T = 0,
         x_*i/C_0: whatever C gains from aging or loses to temperature is of first order
         in 1/v, and changes S_3 in the second only."""
-        return np.asarray(
-            4
-            * self.rate
-            / np.asarray(v)
-            * self.x_star_initial
-            / C_0
-            * self.inverse_x_if_squared
-        )
+        per_C = 4 * self.rate / np.asarray(v) * self.inverse_x_if_squared
+        return np.asarray(per_C * self.x_star_initial / C_0)
 
     def P_change(self, x: Any, v: float, *, printed: bool = False) -> Array:
         """P_c - P_ci (star3a). The paper has u_i in place of u_i^3, which does not
         integrate to 0."""
         u = np.asarray(x) / self.x_star_initial
         power = u if printed else u**3
-        return np.asarray(
-            -4
-            * self.S_3(v)
-            / self.x_star_initial
-            * power
-            * np.exp(-(u**2))
-            * (1 - u**2 / 2)
-        )
+        change = -4 * self.S_3(v) / self.x_star_initial * power
+        return np.asarray(change * np.exp(-(u**2)) * (1 - u**2 / 2))
 
     def J_change(self, x: Any, v: float) -> Array:
         """J_c - J_ci (star3b, correct as printed)."""
@@ -258,9 +234,9 @@ class PublishedAging:
         """
         C_12 = 1.324 if printed else 3 * math.sqrt(math.pi) / 8
         slope = (1.0, 0.0) if printed else (9 * math.pi / 32, 3 * math.pi / 32 - 1 / 8)
+        thermal = self._thermal(v, *slope)
         return np.asarray(
-            self.x_star_initial
-            * (1 / C_0 - self._thermal(v, *slope) + C_12 * self.S_3(v))
+            self.x_star_initial * (1 / C_0 - thermal + C_12 * self.S_3(v))
         )
 
     def f_k(self, v: Any, *, printed: bool = False) -> Array:
@@ -278,11 +254,8 @@ class PublishedAging:
 
     def _thermal(self, v: Any, constant: float, slope: float) -> Array:
         """(constant + slope b) S_2; 0 at kT = 0, where b is infinite."""
-        return np.asarray(
-            (constant + slope * self.b) * self.S_2(v)
-            if self.kT > 0
-            else 0.0 * np.asarray(v)
-        )
+        factor = constant + slope * self.b if self.kT > 0 else 0.0
+        return np.asarray(factor * self.S_2(v))
 
 
 def beta(v: Any, v_eta: float, v_d: float) -> Array:

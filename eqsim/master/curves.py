@@ -18,14 +18,14 @@ from eqsim.estimate import known
 from eqsim.master.annealed import pooled_polynomials, successful_attempts
 from eqsim.master.quenched import kappa_of, survival
 from eqsim.master.steady import reference
-from eqsim.master.survivors import survivors
+from eqsim.master.survivors import survivor_moments
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, reduced
 from eqsim.numerics.tables import Array
 
-_AT_ONCE = 2048  # stretches, to bound the memory of a call
-_LEAST = 1e-100  # stretch; at 0 barriers are divided by
+_STRETCHES_AT_ONCE = 2048  # stretches, to bound the memory of a call
+_LEAST_STRETCH = 1e-100  # stretch; at 0 barriers are divided by
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,8 @@ class StationaryState:
         if self.ensemble.newborn.active:
             law = self.ensemble.newborn.law
             raise InputError(
-                f'newborn.law = "{law}": the densities are those of contacts born unstretched'
+                f'newborn.law = "{law}": the densities are those of contacts born '
+                "unstretched"
             )
         return reduced(self.ensemble, self.drive.velocity)
 
@@ -79,8 +80,8 @@ class StationaryState:
         s, u = self._reduced, self._lengths("x", x)
         if s.annealed and not s.law.steps.size:
             return self.E_P(x) / self.C
-        ascending, back = np.unique(np.maximum(u, _LEAST), return_inverse=True)
-        alive = _in_parts(lambda x: survivors(s, x)[0, 0], ascending)[back]
+        ascending, back = np.unique(np.maximum(u, _LEAST_STRETCH), return_inverse=True)
+        alive = _in_parts(lambda x: survivor_moments(s, x)[0, 0], ascending)[back]
         return np.asarray(alive.reshape(u.shape) / self.C)
 
     def joint_density(self, x: Any, xi: Any) -> Array:
@@ -117,7 +118,7 @@ class StationaryState:
     def H(self, x: Any) -> Array:
         """Thermal breaking per unit displacement, (omega/v) h, 1/length (temper11,
         temper12)."""
-        s, u = self._published(), np.maximum(self._lengths("x", x), _LEAST)
+        s, u = self._published(), np.maximum(self._lengths("x", x), _LEAST_STRETCH)
         if not s.barrier.thermal:
             return np.zeros_like(u)
         found = _in_parts(lambda y: successful_attempts(s, y), u)
@@ -144,7 +145,8 @@ class StationaryState:
         """The numbers of contacts whose law has a density."""
         if self._reduced.law.steps.size:
             raise InputError(
-                f"thresholds = {self.ensemble.thresholds!r}: this needs a law with a density"
+                f"thresholds = {self.ensemble.thresholds!r}: this needs a law with a "
+                "density"
             )
         return self._reduced
 
@@ -152,12 +154,16 @@ class StationaryState:
         """The numbers of contacts that the published functions describe."""
         if self.ensemble.disorder == "quenched" and self._reduced.barrier.thermal:
             raise InputError(
-                'disorder = "quenched": the published functions describe "annealed" contacts (or kT = 0)'
+                'disorder = "quenched": the published functions describe "annealed" '
+                "contacts (or kT = 0)"
             )
         return self._smooth()
 
 
 def _in_parts(function: Callable[[Array], Array], x: Array) -> Array:
     return np.concatenate(
-        [function(part) for part in np.array_split(x.ravel(), x.size // _AT_ONCE + 1)]
+        [
+            function(part)
+            for part in np.array_split(x.ravel(), x.size // _STRETCHES_AT_ONCE + 1)
+        ]
     )

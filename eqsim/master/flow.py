@@ -4,7 +4,8 @@ their paths.
 A contact born with threshold xi0 has, at stretch x (its displacement since birth), the
 deterministic threshold xi(x) = xi0 s(x). Under `flow`
 
-    s(x)^2 = rho^2 - (rho^2 - 1) exp(-alpha x),   rho = x_*f/x_*i,   alpha = 4 D x_*i/(v x_*f^2)
+    s(x)^2 = rho^2 - (rho^2 - 1) exp(-alpha x),
+    rho = x_*f/x_*i,   alpha = 4 D x_*i/(v x_*f^2)
 
 in units of x_*i, the scale of the newborn law: at every age the law of unbroken
 thresholds is that of the Smoluchowski equation from P_ci to P_cf, without its
@@ -31,7 +32,7 @@ import numpy as np
 from scipy import special
 
 from eqsim.master.quenched import (
-    Moments,
+    LifeMoments,
     beyond,
     different_steps,
     ends,
@@ -44,33 +45,35 @@ from eqsim.numerics.tables import Array
 
 # The first panels of a path, in phi. Nodes hold both ends of a panel, where the rate is
 # greatest, so that no peak of it can be missed.
-_FIRST = 0.5 * math.pi * np.array([0.0, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 3 / 4, 1.0])
+_FIRST_PANELS = (
+    0.5 * math.pi * np.array([0.0, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 3 / 4, 1.0])
+)
 # Where a panel is cut, and where the one that begins at 0 is.
 _EVEN = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 _TOWARDS_0 = np.array([0.0, 1 / 64, 1 / 16, 1 / 4, 1.0])
 # The relative error that ends refinement of a path.
-_RESOLVED = 1e-11
+_RESOLVED_PATH = 1e-11
 # Hazards too small to matter.
-_RARE = 1e-13
+_RARE_HAZARD = 1e-13
 # Survivals too small to matter.
 _DEAD = 1e-45
 # The shortest stretch that matters.
-_SHORTEST = 1e-100
+_SHORTEST_STRETCH = 1e-100
 # The relative error that ends refinement over births.
 _CONVERGED_BIRTHS = 1e-11
 # The narrowest panel of births.
-_NARROWEST_BIRTHS = 1e-3
+_NARROWEST_PATHS = 1e-3
 # The least relative error that is quoted.
 _ROUNDED_PATHS = 1e-12
 
 # The step of the trapezoidal rule of a hazard, and the share of it that truncation may
 # miss.
-_STEP = 0.45
-_UNSEEN = 1e-12
+_STEP_IN_U = 0.45
+_UNSEEN_HAZARD = 1e-12
 # Numbers of nodes on either side are multiples of this one.
 _NODES_APART = 16
 # Rates that are found at once, to bound memory.
-_AT_ONCE = 300_000
+_RATES_AT_ONCE = 300_000
 
 
 def kappa_along(contacts: Reduced, xi0: Array, xi: Array) -> Array:
@@ -78,7 +81,7 @@ def kappa_along(contacts: Reduced, xi0: Array, xi: Array) -> Array:
     return kappa_of(contacts, xi if contacts.aging.stiffens else xi0)
 
 
-def rate(contacts: Reduced, x: Array, xi0: Array, share: float = 1.0) -> Array:
+def rate_along(contacts: Reduced, x: Array, xi0: Array, share: float = 1.0) -> Array:
     """Thermal breaking per unit displacement at stretch x, the threshold at birth being
     xi0, arrays that broadcast; with a `share` of the barrier only. Without any it falls
     along a path."""
@@ -92,7 +95,7 @@ def rate(contacts: Reduced, x: Array, xi0: Array, share: float = 1.0) -> Array:
         )
 
 
-class _Integrals(NamedTuple):
+class _PathIntegrals(NamedTuple):
     """Integrals over panels of paths, each array of shape (panels,): the hazard inside;
     int S dx and int kappa x S dx with S = 1 at the left end; the highest Chebyshev
     coefficients of the hazard and of the two integrands, which say whether the panel
@@ -108,55 +111,40 @@ class _Integrals(NamedTuple):
     blind: Array
 
 
-def _on_path(
-    contacts: Reduced, xi0: Array, end: Array, left: Array, right: Array
-) -> tuple[Array, Array, Array]:
-    """Stretch, dx/dt and rate at the nodes t of panels of paths, shape (panels, nodes)."""
-    half = 0.5 * (right - left)[:, None]
-    phi = left[:, None] + half * (1 + ClenshawCurtis.nodes)
-    # x = end sin^2(phi) makes a stiff rate smooth at the threshold
-    x = end[:, None] * np.sin(phi) ** 2
-    width = half * end[:, None] * np.sin(2 * phi)
-    return x, width, rate(contacts, x, xi0[:, None])
-
-
 def _integrals(
     contacts: Reduced, xi0: Array, end: Array, left: Array, right: Array
 ) -> Array:
-    """`_Integrals`, as rows, of paths from births `xi0` to `end`, each of shape
+    """`_PathIntegrals`, as rows, of paths from births `xi0` to `end`, each of shape
     (panels,)."""
-    x, width, per_x = _on_path(contacts, xi0, end, left, right)
-    xi0, hazard = xi0[:, None], per_x * width
+    half, xi0 = 0.5 * (right - left)[:, None], xi0[:, None]
+    phi = left[:, None] + half * (1 + ClenshawCurtis.nodes)
+    # x = end sin^2(phi) makes a stiff rate smooth at the threshold
+    x = end[:, None] * np.sin(phi) ** 2
+    width = half * end[:, None] * np.sin(2 * phi)  # dx/dt
+    per_x = rate_along(contacts, x, xi0)
+    hazard = per_x * width
     # where the panel is too wide for its polynomial, that may be negative
     passed = np.maximum(hazard @ ClenshawCurtis.cumulative, 0.0)
     alive = np.exp(-passed) * width
-    integrands = np.array(
-        [
-            alive,
-            alive * kappa_along(contacts, xi0, xi0 * contacts.aging.growth_at(x)) * x,
-        ]
-    )
+    kappa = kappa_along(contacts, xi0, xi0 * contacts.aging.growth_at(x))
+    integrands = np.array([alive, alive * kappa * x])
     # the least barrier on any piece of a path is at one of its ends, and that at the
     # end of life is 0
-    first = left == 0
-    peak = np.where(
-        first,
-        np.maximum(per_x[:, 0], per_x[:, -1]),
-        rate(contacts, x[:, 0], xi0[:, 0], 0.0),
-    ) * np.ptp(x, axis=1)
-    whole = passed[:, -1]
-    blind = (peak > _RARE) & ((peak > 20 * whole) | (first & (whole > 0.5)))
-    blind &= first | ((right == _FIRST[-1]) & (np.cos(left) > 1e-7))
-    tails = np.abs(
-        np.concatenate((hazard[None], integrands)) @ ClenshawCurtis.tail
-    ).sum(axis=2)
-    return np.concatenate(
-        (whole[None], integrands @ ClenshawCurtis.weights, tails, blind[None])
-    )
+    first, whole = left == 0, passed[:, -1]
+    bare = rate_along(contacts, x[:, 0], xi0[:, 0], 0.0)
+    peak = np.where(first, np.maximum(per_x[:, 0], per_x[:, -1]), bare)
+    peak *= np.ptp(x, axis=1)
+    blind = (peak > _RARE_HAZARD) & ((peak > 20 * whole) | (first & (whole > 0.5)))
+    blind &= first | ((right == _FIRST_PANELS[-1]) & (np.cos(left) > 1e-7))
+    every = np.concatenate((hazard[None], integrands))
+    tails = np.abs(every @ ClenshawCurtis.tail).sum(axis=2)
+    sums = integrands @ ClenshawCurtis.weights
+    return np.concatenate((whole[None], sums, tails, blind[None]))
 
 
 def path_moments(contacts: Reduced, xi0: Array) -> tuple[Array, Array]:
-    """Moments of lives along paths.
+    """Moments of lives along paths. Panels are split until the highest coefficients of
+    the hazard, times the life that is left, and of the integrands are negligible.
 
     Parameters
     ----------
@@ -168,58 +156,40 @@ def path_moments(contacts: Reduced, xi0: Array) -> tuple[Array, Array]:
     moments, errors : ndarray, shape (2, n)
         int S dx and int kappa x S dx, and bounds of their errors.
     """
-    _, found = _resolved(contacts, xi0, ends(contacts, xi0))
-    return found
+    n, end = xi0.size, ends(contacts, xi0)
 
-
-def _resolved(
-    contacts: Reduced, xi0: Array, end: Array
-) -> tuple[Panels, tuple[Array, Array]]:
-    """The panels of paths from births `xi0` to `end`, (n,), and what `path_moments`
-    returns.
-
-    Panels are split until the highest coefficients of the hazard, times the life that
-    is left, and of the integrands are negligible.
-    """
-    n = xi0.size
+    def evaluate(left: Array, right: Array, path: Array) -> Array:
+        return _integrals(contacts, xi0[path], end[path], left, right)
 
     def judge(panels: Panels) -> tuple[Array, tuple[Array, Array]]:
-        of = _Integrals(*panels.values)
-        counts = np.bincount(panels.interval, minlength=n)
-        at = (
-            panels.interval,
-            np.arange(panels.interval.size)
-            - np.repeat(np.cumsum(counts) - counts, counts),
-        )
+        of, path = _PathIntegrals(*panels.values), panels.interval
+        counts = np.bincount(path, minlength=n)
+        panel = np.arange(path.size) - np.repeat(np.cumsum(counts) - counts, counts)
         table = np.zeros((3, n, counts.max() + 1))
-        table[0, at[0], at[1] + 1] = of.hazard
-        alive = np.exp(-table[0].cumsum(axis=1)[at])
-        table[1:, at[0], at[1]] = alive * panels.values[1:3]
+        table[0, path, panel + 1] = of.hazard
+        alive = np.exp(-table[0].cumsum(axis=1)[path, panel])
+        table[1:, path, panel] = alive * panels.values[1:3]
         moments = table[1:].sum(axis=2)
-        onward = table[1:, :, ::-1].cumsum(axis=2)[:, :, ::-1][:, at[0], at[1]]
+        onward = table[1:, :, ::-1].cumsum(axis=2)[:, :, ::-1][:, path, panel]
         errors = alive * panels.values[4:6] + (of.hazard_tail + of.blind) * onward
-        rough = (errors > _RESOLVED * moments[:, panels.interval]).any(axis=0) & (
-            panels.right - panels.left > 1e-14 * panels.right
-        )
+        rough = (errors > _RESOLVED_PATH * moments[:, path]).any(axis=0)
+        rough &= panels.right - panels.left > 1e-14 * panels.right
         rough |= (of.blind > 0) & (alive > _DEAD)
-        return rough & (panels.right > _SHORTEST), (
-            moments,
-            np.array([np.bincount(panels.interval, e, n) for e in errors]),
-        )
+        missed = np.array([np.bincount(path, error, n) for error in errors])
+        return rough & (panels.right > _SHORTEST_STRETCH), (moments, missed)
 
-    return refined(
-        lambda left, right, path: _integrals(
-            contacts, xi0[path], end[path], left, right
-        ),
+    _, (moments, missed) = refined(
+        evaluate,
         judge,
-        _FIRST,
+        _FIRST_PANELS,
         intervals=n,
         pieces=_EVEN,
         pieces_at_0=_TOWARDS_0,
     )
+    return moments, missed
 
 
-def moments_along_paths(contacts: Reduced) -> Moments:
+def moments_along_paths(contacts: Reduced) -> LifeMoments:
     """Moments of the lives of quenched contacts that age in a known way (derived); the
     errors are what is left unresolved along paths and across births."""
     if contacts.law.steps.size:
@@ -230,11 +200,11 @@ def moments_along_paths(contacts: Reduced) -> Moments:
             contacts.law,
             lambda xi0: path_moments(contacts, xi0),
             _CONVERGED_BIRTHS,
-            _NARROWEST_BIRTHS,
+            _NARROWEST_PATHS,
         )
         rarest = beyond(contacts)
         total, error = total + rarest, error + rarest
-    return Moments(*total.tolist(), *(error + _ROUNDED_PATHS * total).tolist())
+    return LifeMoments(*total.tolist(), *(error + _ROUNDED_PATHS * total).tolist())
 
 
 def hazard_along(contacts: Reduced, x: Array, xi0: Array) -> Array:
@@ -245,14 +215,16 @@ def hazard_along(contacts: Reduced, x: Array, xi0: Array) -> Array:
     exponentially whatever the slopes, with as many nodes as it takes to leave out a
     hazard of 1e-12.
     """
-    x_flat = np.maximum(x.ravel(), _SHORTEST)
+    x_flat = np.maximum(x.ravel(), _SHORTEST_STRETCH)
     found, reach = np.zeros(x.size), contacts.barrier.log_w + np.log(x_flat)
-    nodes = np.ceil((reach - math.log(_UNSEEN)) / _STEP / _NODES_APART)
+    nodes = np.ceil((reach - math.log(_UNSEEN_HAZARD)) / _STEP_IN_U / _NODES_APART)
     for many in np.unique(nodes[nodes > 0]):
-        u = _STEP * np.arange(-many * _NODES_APART, many * _NODES_APART + 1)
+        u = _STEP_IN_U * np.arange(-many * _NODES_APART, many * _NODES_APART + 1)
         alike = np.flatnonzero(nodes == many)
-        for part in np.array_split(alike, math.ceil(alike.size * u.size / _AT_ONCE)):
+        for part in np.array_split(
+            alike, math.ceil(alike.size * u.size / _RATES_AT_ONCE)
+        ):
             y = x_flat[part, None] * special.expit(u)
-            per_u = rate(contacts, y, xi0.ravel()[part, None]) * y
-            found[part] = per_u @ (_STEP * special.expit(-u))
+            per_u = rate_along(contacts, y, xi0.ravel()[part, None]) * y
+            found[part] = per_u @ (_STEP_IN_U * special.expit(-u))
     return found.reshape(x.shape)

@@ -39,7 +39,7 @@ from eqsim.laws.aging.base import scale2
 from eqsim.laws.barrier import Barrier
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import Gamma
-from eqsim.master.quenched import Moments
+from eqsim.master.quenched import LifeMoments
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.quadrature import extrapolated, largest_nearby
 from eqsim.numerics.tables import Array
@@ -51,49 +51,37 @@ _A = np.zeros((6, 6))
 _A[1, :1] = 1 / 4
 _A[2, :2] = 8611 / 62500, -1743 / 31250
 _A[3, :3] = 5012029 / 34652500, -654441 / 2922500, 174375 / 388108
-_A[4, :4] = (
-    15267082809 / 155376265600,
-    -71443401 / 120774400,
-    730878875 / 902184768,
-    2285395 / 8070912,
-)
+_A[4, :4] = (15267082809 / 155376265600, -71443401 / 120774400,
+             730878875 / 902184768, 2285395 / 8070912)  # fmt: skip
 _A[5, :5] = 82889 / 524892, 0.0, 15625 / 83664, 69875 / 102672, -2260 / 8211
 _GAMMA = 1 / 4
 _B = np.append(_A[5, :5], _GAMMA)
-_B_ERROR = _B - (
-    [
-        4586570599 / 29645900160,
-        0.0,
-        178811875 / 945068544,
-        814220225 / 1159782912,
-        -3700637 / 11593932,
-        61727 / 225920,
-    ]
-)
+_B_ERROR = _B - [4586570599 / 29645900160, 0.0, 178811875 / 945068544,
+                 814220225 / 1159782912, -3700637 / 11593932, 61727 / 225920]  # fmt: skip
 
 # dz of the finest grid.
-_CELL = 0.04
+_FINEST_CELL = 0.04
 # dz of the three grids over that of the finest.
 _RATIOS = (2.0, 1.5, 1.0)
 # y beyond which cells grow no further.
 _WIDE = 1.0
 # More cells where the thermal front may be, per e-fold of the rate.
-_CROWD = 0.3
+_CROWDING = 0.3
 # By how much that region is blurred, in ln y.
 _BLEND = 0.4
-# A smaller gap, and a smaller mobility, change nothing that could be seen.
+# A smaller gap, and a smaller diffusivity, change nothing that could be seen.
 _LEAST_GAP = 1e-14
-_LEAST_MOBILITY = 1e-12
+_LEAST_DIFFUSIVITY = 1e-12
 # Error of S and of a tenth of u per step.
-_TOLERANCE = 1e-6
+_ERROR_OF_STEP = 1e-6
 # The largest fall of S in a step, and the longest step over the longest life, as values
 # are to be interpolated.
-_FALL = 0.04
+_LARGEST_FALL = 0.04
 _STRIDE = 0.01
 # Share of what is left in stretch and work, where a life ends.
-_NEGLIGIBLE = 1e-11
+_NEGLIGIBLE_REST = 1e-11
 # Steps at most, of some hundreds that are usual.
-_MOST_STEPS = 20_000
+_MOST_IN_MARCH = 20_000
 
 
 class Survival(NamedTuple):
@@ -119,10 +107,10 @@ class Survival(NamedTuple):
     work_error: float
 
 
-def fluctuating_moments(contacts: Reduced) -> Moments:
+def fluctuating_moments(contacts: Reduced) -> LifeMoments:
     """Moments of the lives of quenched contacts whose thresholds fluctuate."""
     found = survival_of_fluctuating(contacts)
-    return Moments(found.stretch, found.work, found.stretch_error, found.work_error)
+    return LifeMoments(found.stretch, found.work, found.stretch_error, found.work_error)
 
 
 def fluctuating_survivors(contacts: Reduced, x: Array) -> Array:
@@ -136,7 +124,7 @@ def fluctuating_survivors(contacts: Reduced, x: Array) -> Array:
 
 def survival_of_fluctuating(contacts: Reduced) -> Survival:
     """The life of a contact whose threshold fluctuates and ages (derived; eq. `L` for
-    the unbroken law), remembered: the solution takes a second. A mobility D_v below
+    the unbroken law), remembered: the solution takes a second. A diffusivity D_v below
     1e-12 counts as 1e-12."""
     if not isinstance(contacts.aging, Langevin):
         raise TypeError(f"these thresholds do not fluctuate: {contacts.aging}")
@@ -148,27 +136,30 @@ def survival_of_fluctuating(contacts: Reduced) -> Survival:
 @functools.lru_cache(maxsize=16)
 def _survival(aging: Langevin, stiffness: StiffnessLaw, barrier: Barrier) -> Survival:
     life = _Life(aging, stiffness, barrier)
-    coarse, middle, fine = (_Grid(life, cells * _CELL) for cells in _RATIOS)
-    first = _march(life, coarse)
+    coarse, middle, fine = (_Grid(life, cells * _FINEST_CELL) for cells in _RATIOS)
+    first = _solve_along(life, coarse)
     middles = 0.5 * (first.x[1:] + first.x[:-1])
-    halved = _march(life, coarse, np.sort(np.append(first.x, middles)))
-    second, third = _march(life, middle, first.x), _march(life, fine, first.x)
+    halved = _solve_along(life, coarse, np.sort(np.append(first.x, middles)))
+    second, third = (
+        _solve_along(life, middle, first.x),
+        _solve_along(life, fine, first.x),
+    )
     halving = halved.values[:, ::2] - first.values
     ways = first.values, second.values, third.values
-    values, errors = _without_steps(*ways, halving)
+    values, errors = _extrapolated_life(*ways, halving)
     # along x a front that passes the nodes makes the error swing through 0; its
     # neighbours know how far
     size = np.maximum(np.abs(values), 1e-300)
     errors = largest_nearby(errors / size, 15) * size
     halving = halved.totals[:, ::2] - first.totals
     ways = first.totals, second.totals, third.totals
-    totals, missed = _without_steps(*ways, halving)
+    totals, missed = _extrapolated_life(*ways, halving)
     # the worst on the way to the end, where errors may cancel by chance
     ends = *totals[:, -1].tolist(), *missed.max(axis=1).tolist()
     return Survival(first.x, values, errors, *ends)
 
 
-def _without_steps(
+def _extrapolated_life(
     first: Array, second: Array, third: Array, halving: Array
 ) -> tuple[Array, Array]:
     """The value and its error from three grids, whose errors go with the second and
@@ -192,7 +183,7 @@ class _Life:
     ) -> None:
         self.n, self.final2 = aging.shape, aging.final2
         self.stiffness, self.barrier = stiffness, barrier
-        self.mobility = max(0.25 * aging.alpha * aging.final2, _LEAST_MOBILITY)
+        self.diffusivity = max(0.25 * aging.alpha * aging.final2, _LEAST_DIFFUSIVITY)
         law = Gamma(self.n)
         self.rms = law.rms
         self.log_norm = math.log(2.0) - special.gammaln(self.n + 1.0)
@@ -205,7 +196,7 @@ class _Life:
 
     def scale(self, x: float) -> float:
         """s(x), the scale of the unbroken law."""
-        return math.sqrt(scale2(self.final2, 4.0 * self.mobility * x / self.final2))
+        return math.sqrt(scale2(self.final2, 4.0 * self.diffusivity * x / self.final2))
 
     def matrix(self, x: float, grid: "_Grid") -> Array:
         """du/dx = A u: lower, main and upper diagonal of A, those of node j in column
@@ -213,9 +204,9 @@ class _Life:
         s = self.scale(x)
         eta = x / s + grid.y
         # d(x/s)/dx
-        slope = 2.0 * self.mobility * x / s
+        slope = 2.0 * self.diffusivity * x / s
         boundary = 1.0 / s - slope * (1.0 / s**2 - 1.0 / self.final2)
-        spread = self.mobility / s**2
+        spread = self.diffusivity / s**2
         drift = (boundary + spread * ((2 * self.n + 1) / eta - 2.0 * eta)) * grid.first
         a: Array = spread * grid.second
         a[0] -= drift
@@ -253,11 +244,11 @@ class _Grid:
         low, high = sorted((1.0, life.scale(life.end)))
         # contacts drift into the boundary within D_v; where they diffuse to it, lives
         # are as short as 1/D_v
-        self.least = 1e-3 * min(life.mobility / high, low, low**2 / life.mobility)
+        self.least = 1e-3 * min(life.diffusivity / high, low, low**2 / life.diffusivity)
         self.front, self.crowd = (0.0, 0.0), 0.0
         if life.barrier.thermal:
             self.front = _front(life, low, high)
-            self.crowd = _CROWD * min(max(life.barrier.log_w, 0.0), 60.0)
+            self.crowd = _CROWDING * min(max(life.barrier.log_w, 0.0), 60.0)
             self.least = min(self.least, 0.1 * math.exp(self.front[0]))
         self.least = max(self.least, _LEAST_GAP)
         count = math.ceil(float(self._z(np.array([life.top]))[0]) / dz)
@@ -323,7 +314,7 @@ class _March(NamedTuple):
     totals: Array
 
 
-def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
+def _solve_along(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
     """u from x = 0 on: by steps that end at `stops`, or of controlled error until
     nothing that matters is left."""
     u, matrix = np.ones(grid.y.size), life.matrix(0.0, grid)
@@ -331,10 +322,10 @@ def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
     state = _State(u, matrix.sum(axis=0), life.survivors(0.0, grid, u))
     path, values, totals = [0.0], [state.survivors], [np.zeros(2)]
     h = 1e-10 * min(life.end, math.exp(-life.barrier.log_w))
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MOST_IN_MARCH):
         x = path[-1]
         h = min(h, life.end - x) if stops is None else stops[len(path)] - x
-        step = _step(life, grid, x, h, state)
+        step = _solve_step(life, grid, x, h, state)
         if stops is None:
             # u never grows, neither in the mean nor anywhere, so that errors at most
             # add up
@@ -344,8 +335,8 @@ def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
                 np.abs(step.gain_error) / (totals[-1] + step.gain),
                 [0.1 * error.max() / step.end.u.max()],
             )
-            fall = (state.survivors[0] - step.end.survivors[0]) / _FALL
-            size = np.append(np.concatenate(sizes) / _TOLERANCE, fall**4)
+            fall = (state.survivors[0] - step.end.survivors[0]) / _LARGEST_FALL
+            size = np.append(np.concatenate(sizes) / _ERROR_OF_STEP, fall**4)
             worst = max(float(np.where(size >= 0.0, size, np.inf).max()), 1e-9)
             following = h * min(5.0, max(0.1, 0.9 * worst**-0.25))
             if worst > 1.0:
@@ -359,11 +350,11 @@ def _march(life: _Life, grid: _Grid, stops: Array | None = None) -> _March:
         values.append(state.survivors)
         totals.append(totals[-1] + step.gain)
         left = state.survivors[:2] * (life.end - after, life.end**2)
-        over = bool(np.all(left < _NEGLIGIBLE * totals[-1])) or after >= life.end
+        over = bool(np.all(left < _NEGLIGIBLE_REST * totals[-1])) or after >= life.end
         if over if stops is None else len(path) == stops.size:
             return _March(np.array(path), np.array(values).T, np.array(totals).T)
     raise ArithmeticError(
-        f"the Fokker-Planck equation was not solved in {_MOST_STEPS} steps: {vars(life)}"
+        f"the Fokker-Planck equation was not solved in {_MOST_IN_MARCH} steps: {vars(life)}"
     )
 
 
@@ -385,7 +376,7 @@ class _Step(NamedTuple):
     gain_error: Array
 
 
-def _step(life: _Life, grid: _Grid, x: float, h: float, start: _State) -> _Step:
+def _solve_step(life: _Life, grid: _Grid, x: float, h: float, start: _State) -> _Step:
     """Solve from x to x + h."""
     slopes, alive, stages = np.empty((6, start.u.size)), np.empty((6, 3)), x + _C * h
     slopes[0], alive[0] = start.slope, start.survivors

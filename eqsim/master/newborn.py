@@ -35,10 +35,10 @@ from eqsim.laws.newborn import (
     NormalBirths,
     UniformBirths,
 )
-from eqsim.laws.threshold import ThresholdLaw
+from eqsim.laws.threshold import rank_above
 from eqsim.master.annealed import pooled_polynomials, successful_attempts
 from eqsim.master.quenched import (
-    Moments,
+    LifeMoments,
     beyond,
     different_steps,
     kappa_of,
@@ -50,7 +50,8 @@ from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.roots import bisected
 from eqsim.numerics.tables import Array
 
-# Levels of ln Lambda where panels end, and their distance beyond, where 1/p is followed.
+# Levels of ln Lambda where panels end, and their distance beyond, where the solution
+# follows 1/p.
 _SPENT = np.array([-36.0, -24.0, -16.0, -10.0, -6.0, -3.0, -1.5, -0.5, 0.25, 1.0, 1.75,
                    2.5, 3.25, 4.0])  # fmt: skip
 _SPENT_APART = 5.0
@@ -60,7 +61,7 @@ _LAYER = np.array([0.3, 1.5, 4.0, 10.0, 25.0, 50.0])
 _ORDER_FINE = 16
 _ORDER_COARSE = 12
 # By how much levels are shifted with the coarser rule.
-_SHIFT = 0.3
+_LEVEL_SHIFT = 0.3
 
 # The first panels of thresholds, in ln(-ln J_c/J_c(bound)).
 _FIRST_RANKS = np.array([-35.0, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75,
@@ -124,10 +125,10 @@ def _density(births: BirthLaw, y: Array, middle: Array) -> Array:
     return np.where(inside, births.pdf(np.clip(y, low, high)), 0.0)
 
 
-def stretched_moments(contacts: Reduced) -> Moments:
+def stretched_moments(contacts: Reduced) -> LifeMoments:
     """Moments of the lives of contacts born stretched. Raises InputError for annealed
     contacts of more than 1000 different thresholds."""
-    solve = _swept if contacts.one_sided else _over_thresholds
+    solve = _swept if contacts.one_sided else _moments_over_thresholds
     mean, error = solve(contacts)
     of_threshold, law = contacts.newborn.of == "threshold", contacts.law
     birth = law_of_births(contacts).mean
@@ -135,7 +136,7 @@ def stretched_moments(contacts: Reduced) -> Moments:
     square = math.nan, 0.0
     if error[2] < mean[2]:  # of broad laws nothing may be known
         square = mean[2], error[2]
-    return Moments(mean[0], mean[1], error[0], error[1], birth, *square)
+    return LifeMoments(mean[0], mean[1], error[0], error[1], birth, *square)
 
 
 def _scales(mean: Array) -> Array:
@@ -145,12 +146,12 @@ def _scales(mean: Array) -> Array:
     return np.abs([mean[0], np.abs(mean[1]) + parts, mean[2]])
 
 
-def _rounded(mean: Array, coarse: Array) -> Array:
+def _coarse_error(mean: Array, coarse: Array) -> Array:
     """Errors of a rule, from a coarser one."""
     return np.abs(mean - coarse) + _ROUNDED_SWEEP * _scales(mean)
 
 
-def _solved(rate: Array, sources: Array, order: int) -> Array:
+def _collocated(rate: Array, sources: Array, order: int) -> Array:
     """Solutions of f' = sources - rate f on panels, primes per unit of a panel's own
     variable from -1 to 1.
 
@@ -199,14 +200,13 @@ def hazard_of(contacts: Reduced) -> Hazard:
     """Own attempts, or pooled ones."""
     barrier = contacts.barrier
     if not barrier.thermal:
-        nothing = np.empty(0)
-        return Hazard(
-            lambda gap, *_: 0.0 * gap,
-            lambda xi, *_: np.broadcast_to(nothing, (xi.size, 0)),
-            lambda xi: np.broadcast_to(nothing, (xi.size, 0)),
-        )
+
+        def nowhere(xi: Array, *_: object) -> Array:
+            return np.empty((xi.size, 0))
+
+        return Hazard(lambda gap, *_: 0.0 * gap, nowhere, nowhere)
     if contacts.annealed:
-        return _pooled_hazard(contacts)
+        return _hazard_of_pool(contacts)
 
     def rate(gap: Array, total: Array, xi: Array, kappa: Array) -> Array:
         with np.errstate(divide="ignore"):
@@ -217,7 +217,7 @@ def hazard_of(contacts: Reduced) -> Hazard:
         most = barrier.log_w + 4.0
         if barrier.log_w < 5.0:
             most = float(np.log(barrier.whole_hazard(xi, kappa)).max())
-        return barrier.stretch_at(_spent(most) + shift, xi, barrier.b * kappa)
+        return barrier.stretch_at(_spent_levels(most) + shift, xi, barrier.b * kappa)
 
     def layer(xi: Array) -> Array:
         xi = xi[:, None]
@@ -233,20 +233,20 @@ def hazard_of(contacts: Reduced) -> Hazard:
     return Hazard(rate, levels, layer)
 
 
-def _spent(most: float) -> Array:
+def _spent_levels(most: float) -> Array:
     """Levels of ln Lambda up to `most`."""
     beyond = np.arange(_SPENT[-1] + _SPENT_APART, most, _SPENT_APART)
     return np.concatenate((_SPENT, beyond))
 
 
-def _pooled_hazard(contacts: Reduced) -> Hazard:
+def _hazard_of_pool(contacts: Reduced) -> Hazard:
     pooled = pooled_polynomials(contacts)
     even = np.linspace(0.0, pooled.edges[-1], 2000)
     grid = np.unique(np.concatenate((pooled.edges, even)))
     passed = pooled.integral(grid)
 
     def levels(xi: Array, kappa: Array, shift: float) -> Array:
-        at = np.exp(_spent(max(math.log(passed[-1] + 1e-300), 5.0)) + shift)
+        at = np.exp(_spent_levels(max(math.log(passed[-1] + 1e-300), 5.0)) + shift)
         inner = np.concatenate((np.interp(at, passed, grid), pooled.edges))
         return np.broadcast_to(inner, (xi.size, inner.size))
 
@@ -264,7 +264,7 @@ def _turned(x: Array, xi: Array) -> Array:
     return np.arcsin(np.sqrt(np.clip((xi - x) / (2.0 * xi), 0.0, 1.0)))
 
 
-def _lives(
+def _mean_lives(
     contacts: Reduced, hazard: Hazard, xi: Array, gap: Array, *, fine: bool = True
 ) -> Array:
     """Travel, work and square of contacts of thresholds xi, shape (n,), averaged over
@@ -284,7 +284,7 @@ def _lives(
     """
     births, of_threshold = law_of_births(contacts), contacts.newborn.of == "threshold"
     per = xi[:, None]
-    level = hazard.levels(xi, kappa_of(contacts, xi), 0.0 if fine else _SHIFT)
+    level = hazard.levels(xi, kappa_of(contacts, xi), 0.0 if fine else _LEVEL_SHIFT)
     inside = [level, -level]
     if isinstance(births, DeltaBirths):
         # one of the two distances is known without cancellation
@@ -319,7 +319,7 @@ def _steep_shares(contacts: Reduced) -> Array:
 def _marched(
     contacts: Reduced, hazard: Hazard, xi: Array, edges: Array, order: int
 ) -> Array:
-    """`_lives` on panels with these `edges` in phi."""
+    """`_mean_lives` on panels with these `edges` in phi."""
     births, rule = law_of_births(contacts), clenshaw_curtis(order)
     row, column = np.nonzero(np.diff(edges, axis=1) > 1e-15 * edges[:, 1:])
     half = 0.5 * (edges[row, column + 1] - edges[row, column])[:, None]
@@ -333,7 +333,7 @@ def _marched(
     rate[~np.isfinite(rate)] = 0.0
     force = kappa * x
     sources = pace[..., None] * np.stack((np.ones_like(x), force, force**2), axis=2)
-    solved = _solved(rate, sources, order)
+    solved = _collocated(rate, sources, order)
     at, total = np.zeros((xi.size, 3)), np.zeros((xi.size, 3))
     alone = isinstance(births, DeltaBirths)
     weights = x if alone else _weights_of_births(contacts, births, x, size)
@@ -360,7 +360,7 @@ def _weights_of_births(
     return _density(births, x, middle) / np.maximum(law.sf(at * law.scale), 1e-300)
 
 
-def _over_thresholds(contacts: Reduced) -> tuple[Array, Array]:
+def _moments_over_thresholds(contacts: Reduced) -> tuple[Array, Array]:
     """Travel, work and square of contacts with thresholds of their own, and errors,
     both of shape (3,)."""
     law, births, hazard = contacts.law, law_of_births(contacts), hazard_of(contacts)
@@ -376,12 +376,12 @@ def _over_thresholds(contacts: Reduced) -> tuple[Array, Array]:
         on = xi > bound
         xi, share = xi[on], share[on] / share[on].sum()
         mean, coarse = (
-            _lives(contacts, hazard, xi, gap_of(xi), fine=fine) @ share
+            _mean_lives(contacts, hazard, xi, gap_of(xi), fine=fine) @ share
             for fine in (True, False)
         )
-        return mean, _rounded(mean, coarse)
+        return mean, _coarse_error(mean, coarse)
 
-    origin = rank_of(law, bound)
+    origin = rank_above(law, bound)
 
     def terms(left: Array, right: Array, fine: bool) -> Array:
         half = 0.5 * (right - left)[:, None]
@@ -393,7 +393,7 @@ def _over_thresholds(contacts: Reduced) -> tuple[Array, Array]:
             xi = bound + gap
         good = (xi > 0) & (gap > 0)
         found = np.zeros((3, xi.size))
-        found[:, good] = _lives(contacts, hazard, xi[good], gap[good], fine=fine)
+        found[:, good] = _mean_lives(contacts, hazard, xi[good], gap[good], fine=fine)
         return found.reshape(3, *e.shape) * (half * e * np.exp(-e))
 
     def evaluate(left: Array, right: Array, _: Array) -> Array:
@@ -410,7 +410,7 @@ def _over_thresholds(contacts: Reduced) -> tuple[Array, Array]:
     first = _first_ranks(contacts, births, origin)
     p, mean = refined(evaluate, judge, first, most=_MOST_RANKS)
     coarse = (terms(p.left, p.right, False) @ ClenshawCurtis.weights).sum(axis=1)
-    error = p.values[1].sum(axis=1) + _rounded(mean, coarse)
+    error = p.values[1].sum(axis=1) + _coarse_error(mean, coarse)
     error[:2] += beyond(contacts) * math.exp(min(origin, 460.0))
     rest, missed = _squares_beyond(contacts, hazard, origin, gap_of)
     mean[2] += rest
@@ -429,22 +429,13 @@ def _squares_beyond(
     e = last - np.array([50.0, 25.0, 0.0])
     xi = np.asarray(law.inverse_survival(origin + e)) / law.scale
     with np.errstate(divide="ignore"):
-        log_terms = np.log(_lives(contacts, hazard, xi, gap_of(xi))[2]) - e
+        log_terms = np.log(_mean_lives(contacts, hazard, xi, gap_of(xi))[2]) - e
     before, decay = -np.diff(log_terms) / 25.0
     if log_terms[-1] == -math.inf or not min(before, decay) > 1e-9:
         return 0.0, 0.0
     rest = math.exp(log_terms[-1]) / decay
     # as in `threshold.means_above`
     return rest, rest * (abs(decay - before) / 25.0 / decay**2 + 1e-12 / decay)
-
-
-def rank_of(law: ThresholdLaw, x: float) -> float:
-    """-ln J_c(x), x in units of the scale; infinite where no threshold is above."""
-    at = max(x, 0.0) * law.scale
-    low, above = float(law.cdf(at)), float(law.sf(at))
-    if low < 0.5:
-        return -math.log1p(-low)
-    return -math.log(above) if above > 0.0 else math.inf
 
 
 def _gaps(contacts: Reduced, bound: float, gap: Array, e: Array) -> Array:
@@ -471,11 +462,11 @@ def _first_ranks(contacts: Reduced, births: BirthLaw, origin: float) -> Array:
     """Ends of the first panels in ln(-ln J_c/J_c(bound))."""
     law, barrier, low = contacts.law, contacts.barrier, _FIRST_RANKS[0]
     low -= max(barrier.log_w, 0.0) if barrier.thermal else 0.0
-    inner = [rank_of(law, float(x)) for x in law.breakpoints / law.scale]
+    inner = [rank_above(law, float(x)) for x in law.breakpoints / law.scale]
     if not isinstance(births, DeltaBirths) and contacts.newborn.of == "length":
         kinks = marks_of_births(births)
         for y in births.range if isinstance(births, UniformBirths) else kinks:
-            born = min(rank_of(law, abs(float(y))), 465.0)
+            born = min(rank_above(law, abs(float(y))), 465.0)
             inner += (born + _RARER_THAN_BIRTHS).tolist()
     at = np.array(inner) - origin
     more = np.log(at[np.isfinite(at) & (at > 0)])
@@ -511,7 +502,7 @@ class _Sweep:
     def solve(
         self, left: Array, right: Array, order: int, *, finer: bool = False
     ) -> Array:
-        """`_solved` on panels in x, from right to left."""
+        """`_collocated` on panels in x, from right to left."""
         contacts, law = self.contacts, self.contacts.law
         half = 0.5 * (right - left)[:, None]
         x = right[:, None] - half * (1.0 + clenshaw_curtis(order).nodes)
@@ -535,7 +526,7 @@ class _Sweep:
             tails = self.tails[:, np.minimum(above, self.steps.size - 1), None]
             mean, square = (part + 0.0 * x for part in tails[1:] / tails[0])
         sources = np.stack((np.ones_like(x), mean * x, square * x**2), axis=2)
-        return _solved(half * rate, half[..., None] * sources, order)
+        return _collocated(half * rate, half[..., None] * sources, order)
 
     def combined(self, panels: Panels, values: Array) -> Array:
         """Solutions at nodes, shape (panels, nodes, 3)."""
@@ -569,7 +560,7 @@ class _Sweep:
         return (rule.weights @ integrand).sum(axis=0), integrand
 
     def judge(self, panels: Panels) -> tuple[Array, tuple[Array, Array]]:
-        """Which panels are too rough; means over births and what they miss."""
+        """Find panels that are too rough; means over births and what they miss."""
         found = self.combined(panels, np.moveaxis(panels.values, -1, 0))
         mean, integrand = self.weighed(panels, found)
         tail = np.abs(ClenshawCurtis.tail.T @ found).sum(axis=1)
@@ -585,7 +576,7 @@ class _Sweep:
         return rough & wide, (mean, missed.sum(axis=0))
 
     def first_stretches(self) -> Array:
-        """Ends of the first panels, from the lowest birth up to where nothing survives."""
+        """Ends of the first panels, from the lowest birth to where nothing survives."""
         law, at = self.contacts.law, marks_of_births(self.births)
         up, top = self.steps, float(self.steps.max(initial=0.0))
         if not law.steps.size:
@@ -607,4 +598,4 @@ def _swept(contacts: Reduced) -> tuple[Array, Array]:
     )
     other = sweep.solve(p.left, p.right, _ORDER_COARSE, finer=True)
     coarse, _ = sweep.weighed(p, sweep.combined(p, other))
-    return mean, missed + _rounded(mean, coarse)
+    return mean, missed + _coarse_error(mean, coarse)

@@ -13,7 +13,7 @@ from eqsim.master.fokker_planck import survival_of_fluctuating
 from eqsim.master.newborn import law_of_births
 from eqsim.master.quenched import ends, panels_between_steps, rarest_that_counts
 from eqsim.master.solvers import moments_of
-from eqsim.master.survivors import kinks_of_survival, longest_travel, survivors
+from eqsim.master.survivors import kinks_of_survival, longest_travel, survivor_moments
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
 from eqsim.numerics.quadrature import gauss_legendre
@@ -23,7 +23,7 @@ from eqsim.numerics.tables import Array
 # a discrete law.
 _BETWEEN_JUMPS = 1e-6
 # Relative error of sums of powers of a discrete law's thresholds.
-_ROUNDED = 1e-12
+_ROUNDED_SUMS = 1e-12
 # Coefficients of the highest two Chebyshev polynomials, over the largest value, at
 # which panels are not split further.
 _SMOOTH = 1e-8
@@ -36,7 +36,7 @@ _WORST = 2.0
 # Longest and narrowest panels in ln x; infinite densities and unknown kinks, which need
 # ever narrower ones, count for less than the narrowest.
 _LONGEST_PANEL = 2.0
-_NARROWEST = 1e-9
+_NARROWEST_IN_LN_X = 1e-9
 # Panels beyond which none is split any more, where a solver's noise keeps coefficients
 # from falling.
 _MOST_LIFE_PANELS = 600
@@ -113,17 +113,17 @@ class _Steps:
     def __init__(self, contacts: Reduced, x: Array) -> None:
         # without heat and aging nothing changes between jumps
         exact = contacts.aging.closed and not contacts.barrier.thermal
-        self.error = _ROUNDED if exact else _BETWEEN_JUMPS
+        self.error = _ROUNDED_SUMS if exact else _BETWEEN_JUMPS
         self._reduced = contacts
         self.x = np.unique(np.append(panels_between_steps(contacts), x[x > 0]))
         edge = np.append(0.0, self.x)
         inner, weights = gauss_legendre(6).between(edge[:-1], edge[1:])
-        values = survivors(contacts, inner.ravel()).reshape(3, 3, *inner.shape)
+        values = survivor_moments(contacts, inner.ravel()).reshape(3, 3, *inner.shape)
         self._sums = (values * weights).sum(axis=3).cumsum(axis=2)
         self.survive = self.at(self.x)[0]
 
     def at(self, x: Array, power: int = 0) -> Array:
-        return survivors(self._reduced, x)[power]
+        return survivor_moments(self._reduced, x)[power]
 
     def integral(self, x: Array, power: int) -> Array:
         index = np.searchsorted(self.x, np.minimum(x, self.x[-1]))
@@ -175,13 +175,13 @@ class SmoothLife:
 
         def evaluate(left: Array, right: Array, _: Array) -> Array:
             x = np.exp(0.5 * (left + right) + 0.5 * (right - left) * nodes)
-            values = survivors(contacts, x.ravel()).reshape(9, *x.shape)
+            values = survivor_moments(contacts, x.ravel()).reshape(9, *x.shape)
             return np.concatenate((values, values * x))
 
         def judge(panels: Panels) -> tuple[Array, None]:
             most = np.abs(panels.values).max(axis=(1, 2))[:, None]
             rough = np.abs(np.tensordot(tail, panels.values, (1, 1))).sum(axis=0)
-            wide = panels.right - panels.left > _NARROWEST
+            wide = panels.right - panels.left > _NARROWEST_IN_LN_X
             return (rough > smooth * most).any(axis=0) & wide, None
 
         p, _ = refined(evaluate, judge, _first_edges(contacts), most=_MOST_LIFE_PANELS)

@@ -5,7 +5,7 @@ Without aging a contact of threshold xi survives to stretch x < xi with S(x|xi) 
 exp(-(omega/v) H(x)), H the closed form of `laws.barrier`. The joint density of pinned
 contacts is P_c(xi) S(x|xi)/C on 0 <= x < xi, with
 
-    C = E[int_0^xi S dx],        friction * C = E[(k_i/k) int_0^xi x S dx]        (no delay).
+    C = E[int_0^xi S dx],      friction * C = E[(k_i/k) int_0^xi x S dx]      (no delay).
 
 Inside, x = xi sin^2(phi) makes the integrand smooth at xi, and Gauss-Legendre panels
 end where the integrated hazard passes levels, from the first one of the slowest drive
@@ -59,11 +59,11 @@ _MORE_PANELS = 500
 # -ln J_c of the rarest contacts that usually count, of the strongest one that is asked
 # for, and how far panels beyond the former are apart.
 _COMMON = 45.0
-_RAREST = 510.0
+_RAREST_THRESHOLD = 510.0
 _RARER = 5.0
 # Ranks e above that of x where panels of thresholds end: narrow ones next to x, then on
 # the scale of the law.
-_RANKS_ABOVE = np.array([1e-6, 1e-4, 2e-3, 0.01, 0.05, 0.15, 0.4, 0.8, 1.5, 2.5, 4.0,
+_SHARES_ABOVE = np.array([1e-6, 1e-4, 2e-3, 0.01, 0.05, 0.15, 0.4, 0.8, 1.5, 2.5, 4.0,
                          6.0, 9.0, 13.0, 18.0, 25.0, 35.0])  # fmt: skip
 # Ranks of weak contacts where they end, too: the law may rise steeply.
 _WEAKEST = 10.0 ** np.arange(-14.0, -6.0)
@@ -71,7 +71,7 @@ _WEAKEST = 10.0 ** np.arange(-14.0, -6.0)
 _TOWARDS = 0.25 ** np.arange(1.0, 16.0)
 
 
-class Moments(NamedTuple):
+class LifeMoments(NamedTuple):
     """C = E[x_b], work = E[int_0^{x_b} kappa x dx], and absolute errors of both.
 
     Of contacts born stretched: the travel E[l] = E[x_b - y], work = E[int_y^{x_b} kappa
@@ -94,8 +94,8 @@ def kappa_of(contacts: Reduced, xi: Array) -> Array:
 
 
 def ends(contacts: Reduced, xi: Array) -> Array:
-    """Where contacts born with thresholds `xi`, any shape, break mechanically: the root
-    of xi s(x) = x if they age."""
+    """Stretches at which contacts born with thresholds `xi`, any shape, break
+    mechanically: the roots of xi s(x) = x if they age."""
     if contacts.aging.closed:
         return xi
     found = elementwise.find_root(
@@ -162,7 +162,7 @@ def life_moments(
 
 def quenched_moments(
     every: Sequence[Reduced], *, square: bool = False
-) -> list[Moments]:
+) -> list[LifeMoments]:
     """Moments of the lives of quenched contacts that do not age, one for each of
     `every`, which differ in velocity only; with the mean square of force if asked."""
     contacts, powers = every[0], 3 if square else 2
@@ -203,7 +203,7 @@ def quenched_moments(
         error[2] += missed + shortened * far
     born = np.zeros((1, log_w.size))
     rows = np.concatenate((total[:2], error[:2], born, total[2:], error[2:]))
-    return [Moments(*row) for row in rows.T.tolist()]
+    return [LifeMoments(*row) for row in rows.T.tolist()]
 
 
 def over_births(
@@ -325,12 +325,12 @@ def rarest_that_counts(barrier: Barrier) -> float:
     return _COMMON + min(max(2.0 * barrier.log_w, 0.0), 455.0)
 
 
-# It takes 1 ms, or 2 s where SciPy finds quantiles numerically, and a transient asks for
-# it 30 times.
+# It takes 1 ms, or 2 s where SciPy finds quantiles numerically, and a transient asks
+# for it 30 times.
 @functools.lru_cache(maxsize=8)
 def _ranks_of(law: ThresholdLaw) -> tuple[Array, Array]:
     """-ln J_c and the thresholds that have it: only panels depend on this table."""
-    e = np.exp(np.linspace(-36.0, math.log(_RAREST), 700))
+    e = np.exp(np.linspace(-36.0, math.log(_RAREST_THRESHOLD), 700))
     xi, which = np.unique(
         np.asarray(law.inverse_survival(e)) / law.scale, return_index=True
     )
@@ -351,8 +351,8 @@ def thresholds_above(
     edges of a boundary `layer`, shape (n, any)."""
     low, high = (edge / law.scale for edge in law.support)
     left, (e, xi) = np.maximum(x, low)[:, None], _ranks_of(law)
-    shares = np.append(_RANKS_ABOVE, np.arange(40.0, rarest + 8.0, _RARER))
-    top = np.minimum(np.interp(left, xi, e) + shares, _RAREST)
+    shares = np.append(_SHARES_ABOVE, np.arange(40.0, rarest + 8.0, _RARER))
+    top = np.minimum(np.interp(left, xi, e) + shares, _RAREST_THRESHOLD)
     weakest = np.asarray(law.inverse_survival(_WEAKEST)) / law.scale
     fixed = [law.kinks / law.scale, weakest]
     with np.errstate(divide="ignore"):
@@ -366,7 +366,7 @@ def thresholds_above(
 
 
 def stiffness_of_survivors(contacts: Reduced, x: Array) -> tuple[Array, Array]:
-    """E[kappa | xi > x] and E[kappa^2 | xi > x] at x > 0, shape (n,), of a smooth law."""
+    """E[kappa | xi > x] and E[kappa^2 | xi > x] of a smooth law at x > 0, (n,)."""
     if contacts.stiffness == "uniform":
         return np.ones_like(x), np.ones_like(x)
     law = contacts.law

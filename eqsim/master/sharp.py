@@ -15,14 +15,21 @@ from typing import NamedTuple
 import numpy as np
 
 from eqsim.laws.threshold import ThresholdLaw
+from eqsim.numerics.roots import bisected
 from eqsim.numerics.tables import Array
 
-SMOOTH = 2.0  # order above which steps need not end at a singularity
-LIGHTEST = 1e-5  # share of contacts at a singularity that steps end at
-MOST = 256  # instants that are followed
-SAMPLES = 64  # of a segment, where thresholds grow
+# The order above which steps need not end at a singularity.
+SMOOTH = 2.0
+# The share of contacts at a singularity that steps end at.
+LIGHTEST = 1e-5
+# Instants that are followed.
+MOST_INSTANTS = 256
+# Samples of a segment, where thresholds grow.
+SAMPLES = 64
 BISECTIONS = 45
-NEAR = 1e-12  # of a threshold: where the density is infinite it is larger there than at FAR, by a factor over STEEP
+# Distances over a threshold: where the density is infinite it is larger at NEAR than at
+# FAR, by a factor over STEEP.
+NEAR = 1e-12
 FAR = 1e-9
 STEEP = 3.0
 
@@ -37,7 +44,7 @@ class Levels(NamedTuple):
 
 
 class Corners(NamedTuple):
-    """Where the slider is: times and displacements of ends of segments, from 0 on,
+    """The course of the slider: times and displacements of ends of segments, from 0 on,
     arrays (corners,)."""
 
     t: Array
@@ -73,18 +80,13 @@ def levels_of(law: ThresholdLaw) -> Levels:
 def passages(
     corners: Corners, t: float, xi: Array, growth: Callable[[Array], Array] | None
 ) -> Array:
-    """When contacts born at an instant are first stretched by thresholds, ascending,
+    """Times when contacts born at an instant are first stretched by thresholds, ascending,
     that are xi at birth and grow by `growth` with age; infinite if never."""
     after = corners.t > t
     times = np.append(t, corners.t[after])
     if growth is not None:
-        times = np.append(
-            (
-                times[:-1, None]
-                + np.diff(times)[:, None] * np.arange(SAMPLES) / SAMPLES
-            ).ravel(),
-            times[-1],
-        )
+        parts = np.diff(times)[:, None] * np.arange(SAMPLES) / SAMPLES
+        times = np.append((times[:-1, None] + parts).ravel(), times[-1])
     here = np.interp(t, corners.t, corners.X)
 
     def reached(times: Array) -> Array:
@@ -103,16 +105,16 @@ def passages(
         share = (here + np.copysign(level, X1 - here) - X0) / (X1 - X0)
         found[there] = low + (high - low) * np.clip(share, 0.0, 1.0)
         return found
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        early = reached(middle) < level
-        low, high = np.where(early, middle, low), np.where(early, high, middle)
-    found[there] = high
+
+    def early(times: Array) -> Array:
+        return np.asarray(reached(times) < level)
+
+    found[there] = bisected(early, low, high, BISECTIONS)[1]
     return found
 
 
 def _again(corners: Corners, X: float, since: int) -> float:
-    """When the slider passes X again after a corner."""
+    """The time when the slider passes X again after a corner."""
     side = np.sign(corners.X[since + 1 :] - X)
     moved = np.flatnonzero(side)
     if moved.size == 0:
@@ -133,7 +135,7 @@ def _turns(corners: Corners) -> list[int]:
 
 
 def _resumed(corners: Corners, t: float) -> list[float]:
-    """When contacts born at an instant, which have been less stretched since, are
+    """Times when contacts born at an instant, which have been less stretched since, are
     stretched more than ever."""
     after = np.flatnonzero(corners.t > t)
     here = np.interp(t, corners.t, corners.X)
@@ -144,12 +146,8 @@ def _resumed(corners: Corners, t: float) -> list[float]:
         level = math.copysign(greatest[j], corners.X[after[j]] - here)
         X0 = corners.X[after[j - 1]]
         share = (here + level - X0) / (corners.X[after[j]] - X0)
-        found.append(
-            float(
-                corners.t[after[j - 1]]
-                + share * (corners.t[after[j]] - corners.t[after[j - 1]])
-            )
-        )
+        begin, end = corners.t[after[j - 1]], corners.t[after[j]]
+        found.append(float(begin + share * (end - begin)))
     return found
 
 
@@ -193,7 +191,7 @@ def sharp_instants(
     end = float(corners.t[-1])
     found: list[Sharp] = []
     ascending = np.argsort(levels.xi)
-    while heap and len(found) < MOST:
+    while heap and len(found) < MOST_INSTANTS:
         birth = heapq.heappop(heap)
         if not birth.t < end or any(abs(birth.t - other.t) < 1e-13 for other in found):
             continue
@@ -203,22 +201,16 @@ def sharp_instants(
                 heapq.heappush(heap, Sharp(0.0, birth.lightness, t))
         xi = levels.xi[ascending]
         for i, t in zip(ascending, passages(corners, birth.t, xi, growth), strict=True):
-            order, lightness = (
-                birth.order + levels.order[i] + 1.0,
-                birth.lightness * levels.share[i],
-            )
+            order = birth.order + levels.order[i] + 1.0
+            lightness = birth.lightness * levels.share[i]
             if order > SMOOTH or not t < end or (order < 0.0 and -lightness < LIGHTEST):
                 continue
             broken = Sharp(float(order), float(lightness), float(t))
             if delay and not spread:
                 found.append(broken)
-            later = (
-                broken._replace(order=broken.order + 1.0)
-                if delay and spread
-                else broken
-            )
-            heapq.heappush(
-                heap,
-                later if spread or not delay else later._replace(t=broken.t + delay),
-            )
+            if delay and spread:
+                broken = broken._replace(order=broken.order + 1.0)
+            elif delay:
+                broken = broken._replace(t=broken.t + delay)
+            heapq.heappush(heap, broken)
     return [instant for instant in found if instant.t > 0.0]

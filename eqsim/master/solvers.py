@@ -7,7 +7,7 @@ from eqsim.master.annealed import annealed_moments
 from eqsim.master.flow import moments_along_paths
 from eqsim.master.fokker_planck import fluctuating_moments
 from eqsim.master.newborn import stretched_moments
-from eqsim.master.quenched import Moments, quenched_moments
+from eqsim.master.quenched import LifeMoments, quenched_moments
 from eqsim.model.reduced import Reduced
 
 PUBLISHED = "published master equation"
@@ -27,7 +27,7 @@ def method_of(contacts: Reduced) -> str:
     return JOINT + along
 
 
-def moments_of(every: Sequence[Reduced], *, square: bool = False) -> list[Moments]:
+def moments_of(every: Sequence[Reduced], *, square: bool = False) -> list[LifeMoments]:
     """Moments of lives, one for each of `every`, which differ in velocity only; with
     the mean square of force where lives are known in closed form. Raises InputError."""
     contacts = every[0]

@@ -14,7 +14,7 @@ from eqsim.laws.aging import Aging
 from eqsim.laws.threshold import Gamma
 from eqsim.master.annealed import Ageing, annealed_moments
 from eqsim.master.profile import profile_of
-from eqsim.master.quenched import Moments, integrals_beyond
+from eqsim.master.quenched import LifeMoments, integrals_beyond
 from eqsim.master.solvers import PUBLISHED, method_of, moments_of
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
@@ -42,8 +42,8 @@ class Reference(Averages):
     method: str
 
 
-class Lives(NamedTuple):
-    """`Moments` at many velocities, arrays (velocities,)."""
+class MomentArrays(NamedTuple):
+    """`LifeMoments` at many velocities, arrays (velocities,)."""
 
     stretch: Array
     work: Array
@@ -184,7 +184,7 @@ def curve(ensemble: Ensemble, velocities: Array) -> Curve:
 
 
 def _observables(
-    ensemble: Ensemble, velocities: tuple[float, ...], lives: Lives
+    ensemble: Ensemble, velocities: tuple[float, ...], lives: MomentArrays
 ) -> dict[str, tuple[Array, Array]]:
     """Values and absolute errors of observables in the user's units, arrays
     (velocities,)."""
@@ -223,11 +223,12 @@ def _delay_of(ensemble: Ensemble, velocity: float) -> float:
 
 
 # It takes 1 ms to 1 s, and a fit, a sweep or a reference may change the delay or the
-# viscosity alone; 128 of the longest lists of velocities that are fitted are below 1 MB.
+# viscosity alone; 128 of the longest lists of velocities that are fitted are within
+# 1 MB.
 @functools.lru_cache(maxsize=128)
 def lives_of(
     ensemble: Ensemble, velocities: tuple[float, ...], square: bool = False
-) -> Lives:
+) -> MomentArrays:
     """Moments of lives, whatever the delay, which only changes how
     often they begin; with the mean square of force of contacts born unstretched if
     asked, where it is finite. Raises InputError."""
@@ -245,7 +246,7 @@ def lives_of(
             _with_square(reduced(ensemble, v, lives.stretch * law.scale), lives)
             for v, lives in zip(velocities, found, strict=True)
         ]
-    return Lives(*np.array(found).T)
+    return MomentArrays(*np.array(found).T)
 
 
 def settled(ensemble: Ensemble, velocity: float) -> Reduced:
@@ -258,9 +259,9 @@ def settled(ensemble: Ensemble, velocity: float) -> Reduced:
     return reduced(ensemble, velocity, stretch * ensemble.thresholds.scale)
 
 
-def _with_square(contacts: Reduced, moments: Moments) -> Moments:
-    """Moments of contacts born unstretched with E[int kappa^2 x^2 dx], in closed form or
-    from the profile of a life."""
+def _with_square(contacts: Reduced, moments: LifeMoments) -> LifeMoments:
+    """Moments of contacts born unstretched with E[int kappa^2 x^2 dx], by quadrature
+    over thresholds or from the profile of a life."""
     if contacts.aging.closed and not contacts.annealed:
         (closed,) = moments_of([contacts], square=True)
         square, error = closed.square, closed.square_error

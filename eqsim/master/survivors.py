@@ -1,8 +1,8 @@
 """Survivors of a travel l from birth (derived).
 
 A contact born at y with threshold xi is there after a travel l with the chance
-exp(-(Lambda(y + l) - Lambda(y))) while y + l < xi, or while l < xi s(l) if its threshold
-grows by s(l). Differences of Lambda are written from the upper end, so that nothing
+exp(-(Lambda(y + l) - Lambda(y))) while y + l < xi, or while l < xi s(l) if thresholds
+grow by s(l). Differences of Lambda are written from the upper end, so that nothing
 cancels however short l is. Means are by Gauss-Legendre panels over births, which end
 where lives of contacts born there change their character at this travel, and over
 thresholds, which end at fixed shares of the stronger contacts and where the hazard
@@ -15,10 +15,11 @@ from scipy import special
 from eqsim.laws.aging import Langevin
 from eqsim.laws.barrier.soft import Soft
 from eqsim.laws.newborn import BirthLaw, DeltaBirths, ExponentialBirths, NormalBirths
+from eqsim.laws.threshold import rank_above
 from eqsim.master import flow
 from eqsim.master.annealed import pooled_polynomials, survivors_of_steps
 from eqsim.master.fokker_planck import fluctuating_survivors
-from eqsim.master.newborn import law_of_births, marks_of_births, rank_of
+from eqsim.master.newborn import law_of_births, marks_of_births
 from eqsim.master.quenched import (
     different_steps,
     greatest_of,
@@ -54,14 +55,14 @@ _NEGLIGIBLE_WEIGHT = 1e-13
 # -ln J_c of thresholds where panels of births that are fractions of these end.
 _TOP = np.array([1e-4, 0.03, 0.1, 0.25, 0.5, 0.8, 1.2, 1.7, 2.3, 3.0, 4.0, 6.0, 10.0,
                  30.0])  # fmt: skip
-_POWERS = np.arange(3)[:, None]
+_POWERS_OF_STRETCH = np.arange(3)[:, None]
 
 
-def survivors(contacts: Reduced, travel: Array) -> Array:
+def survivor_moments(contacts: Reduced, travel: Array) -> Array:
     """Moments of contacts that outlast a travel > 0, shape (n,): E[x^i kappa^j; l >
     travel], x the stretch there, i and j from 0 to 2, shape (3, 3, n). Travels of
     annealed contacts of a discrete law have to ascend."""
-    powers = travel ** _POWERS[:, None]
+    powers = travel ** _POWERS_OF_STRETCH[:, None]
     if isinstance(contacts.aging, Langevin):
         return powers * fluctuating_survivors(contacts, travel)
     if not contacts.newborn.active:
@@ -101,7 +102,7 @@ def _birth_edges(contacts: Reduced, births: BirthLaw, travel: Array) -> Array:
 
 
 def _born_at(contacts: Reduced, birth: Array, travel: Array) -> Array:
-    """`survivors` given the births, fractions or lengths, shape (n,)."""
+    """`survivor_moments` given the births, fractions or lengths, shape (n,)."""
     if contacts.one_sided if contacts.newborn.active else contacts.annealed:
         return _published_survivors(contacts, birth, travel)
     law, share = contacts.law, np.ones_like(birth)
@@ -129,7 +130,9 @@ def _over_steps(contacts: Reduced, birth: Array, travel: Array, least: Array) ->
         every = np.full(y.size, xi)
         alive = share * np.exp(-np.minimum(_passed(contacts, y, way, every), 700.0))
         kappa = flow.kappa_along(contacts, every, xi * contacts.aging.growth_at(way))
-        found[:, :, on] += (y + way) ** _POWERS[:, None] * kappa**_POWERS * alive
+        found[:, :, on] += (
+            (y + way) ** _POWERS_OF_STRETCH[:, None] * kappa**_POWERS_OF_STRETCH * alive
+        )
     return found
 
 
@@ -207,7 +210,7 @@ def _published_survivors(contacts: Reduced, y: Array, travel: Array) -> Array:
     if law.steps.size:
         xi, share, kappa = different_steps(contacts)
         above = np.searchsorted(xi, up, side="right")
-        parts = (share * kappa**_POWERS)[:, ::-1].cumsum(axis=1)[:, ::-1]
+        parts = (share * kappa**_POWERS_OF_STRETCH)[:, ::-1].cumsum(axis=1)[:, ::-1]
         tails = np.append(parts, np.zeros((3, 1)), axis=1)[:, above]
     else:
         J = law.sf(up * law.scale)
@@ -218,11 +221,11 @@ def _published_survivors(contacts: Reduced, y: Array, travel: Array) -> Array:
         tails = np.where(J > 0, stiff, 0.0)
     J_born = np.maximum(law.sf(born * law.scale), 1e-300)
     alive = np.exp(-np.minimum(_passed(contacts, y, travel, born), 700.0)) / J_born
-    return np.asarray(x ** _POWERS[:, None] * tails * alive)
+    return np.asarray(x ** _POWERS_OF_STRETCH[:, None] * tails * alive)
 
 
 def _passed(contacts: Reduced, y: Array, travel: Array, xi: Array) -> Array:
-    """Lambda(y + travel) - Lambda(y) of contacts of thresholds xi, arrays of one shape."""
+    """Lambda(y + travel) - Lambda(y) of thresholds xi, arrays of one shape."""
     barrier = contacts.barrier
     if not barrier.thermal:
         return np.zeros(xi.shape)
@@ -236,11 +239,14 @@ def _passed(contacts: Reduced, y: Array, travel: Array, xi: Array) -> Array:
     down, up = np.maximum(-y, 0.0), np.maximum(y + travel, 0.0)
     before, after = np.minimum(travel, down), np.minimum(travel, up)
     # Lambda is continued as an odd function
-    parts = _up_to(contacts, down, before, xi), _up_to(contacts, up, after, xi)
+    parts = (
+        _passed_up_to(contacts, down, before, xi),
+        _passed_up_to(contacts, up, after, xi),
+    )
     return np.where(before > 0, parts[0], 0.0) + np.where(after > 0, parts[1], 0.0)
 
 
-def _up_to(contacts: Reduced, x: Array, way: Array, xi: Array) -> Array:
+def _passed_up_to(contacts: Reduced, x: Array, way: Array, xi: Array) -> Array:
     """Lambda(x) - Lambda(x - way), 0 <= way <= x."""
     if contacts.annealed or contacts.one_sided:
         rate = pooled_polynomials(contacts)
@@ -270,7 +276,7 @@ def _up_to(contacts: Reduced, x: Array, way: Array, xi: Array) -> Array:
 
 
 def kinks_of_survival(contacts: Reduced) -> Array:
-    """Travels at which the survival of contacts born stretched, or its slope, may jump."""
+    """Travels at which survival of contacts born stretched, or its slope, may jump."""
     births, law = law_of_births(contacts), contacts.law
     at = law.kinks / law.scale
     if contacts.newborn.of == "threshold":
@@ -285,7 +291,7 @@ def longest_travel(contacts: Reduced) -> float:
     """A travel that hardly a contact born stretched outlasts."""
     law, (low, high) = contacts.law, law_of_births(contacts).range
     length = contacts.newborn.of == "length"
-    born = rank_of(law, max(abs(low), abs(high)) * length)
+    born = rank_above(law, max(abs(low), abs(high)) * length)
     rarest = rarest_that_counts(contacts.barrier) + _HEAVY_TAIL + min(born, 470.0)
     top = law.steps[-1] if law.steps.size else law.inverse_survival(min(rarest, 510.0))
     return float(top / law.scale) * (1.0 if length else 1.0 - low) - low * length

@@ -432,7 +432,7 @@ def _integrated(s: Reduced, xi: Array, x: Array) -> Array:
         return np.exp(s.barrier.log_hazard(x, xi, a) + s.barrier.log_w)
 
     def rate(y: Array, born: Array) -> Array:
-        return flow.rate(s, y, born)
+        return flow.rate_along(s, y, born)
 
     # The rate is greatest at the ends of a life, where the nodes crowd.
     accuracy = {"atol": 1e-9, "rtol": 1e-7, "maxlevel": 12}

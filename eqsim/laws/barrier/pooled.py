@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from scipy import interpolate, special
+from scipy import interpolate
 
 from eqsim.errors import InputError
 from eqsim.laws.barrier.base import (
@@ -27,9 +27,15 @@ from eqsim.laws.barrier.base import (
 )
 from eqsim.laws.law import Law
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
-from eqsim.laws.threshold import NO_STEPS, Gamma, ThresholdLaw, panels_above
+from eqsim.laws.threshold import (
+    NO_STEPS,
+    Gamma,
+    Smooth,
+    ThresholdLaw,
+    panels_above,
+)
 from eqsim.numerics.compiled import routine
-from eqsim.numerics.quadrature import Rule, gauss_legendre
+from eqsim.numerics.quadrature import Rule, gauss_legendre, normal_exponent
 from eqsim.numerics.tables import Array
 
 
@@ -55,10 +61,10 @@ _BY_TRAPEZOID = 200
 
 # The trapezoidal rule of gamma laws: the largest n, the step in u, and a finer one.
 _LARGEST_N = 60.0
-_STEP = 0.085
-_FINER_STEP = 0.06
+_TRAPEZOID_STEP = 0.085
+_FINER_TRAPEZOID = 0.06
 # The left end in u, where the gap between threshold and stretch is negligible.
-_LEFT = -3.7
+_LEFT_END = -3.7
 
 # Panels of other laws. Exponents of the barrier where they end, were xi' near y or far.
 _EXPONENTS = np.array(
@@ -70,11 +76,16 @@ _NEAR_ENDS = 10.0 ** np.arange(-13.0, 0.0)
 _WEAK = math.log(10.0) * np.array(
     [8.0, 10.0, 12.0, 14.0, 17.0, 25.0, 37.0, 55.0, 80.0, 120.0, 180.0, 270.0]
 )
-# Nodes of a panel, and of a finer rule.
+# Nodes of a panel, of a finer rule, and in the engine's tables, which need 2e-7; gamma
+# laws with n > 60 and pooled laws have only just that with fewer than 10.
 _ORDER = 10
 _FINER_ORDER = 14
+_TABLE_ORDER = 8
+# -ln J_c of nodes of a table, and the rise of ln h between nodes.
+_NODE_RANKS = normal_exponent(np.arange(-37.0, 10.0, 0.05))
+_RISE_OF_RATE = 0.25
 # ln of the successful attempts per unit displacement that do not count.
-_UNSEEN = -45.0
+_UNSEEN_ATTEMPTS = -45.0
 
 
 def pooled_rate(
@@ -86,24 +97,26 @@ def pooled_rate(
     log_w: float = math.inf,
     *,
     finer: bool = False,
+    order: int | None = None,
 ) -> Array:
     """h(y) of a smooth law (temper11, temper12 without omega/v), lengths in units of
     `law.scale`, shape (n,).
 
-    To about 1e-12 for gamma laws and 1e-10 for most others; a `finer` rule tells the
-    error. Attempts that succeed less often than exp(-45) per unit displacement at
-    ln(omega x_*/v) = `log_w` may be left out.
+    To about 1e-12 for gamma laws and 1e-10 for most others; a `finer` rule, or one of
+    another `order` where there are panels, tells the error. Attempts that succeed less
+    often than exp(-45) per unit displacement at ln(omega x_*/v) = `log_w` may be left
+    out.
     """
     y = np.asarray(y, float)
     trapezoid = isinstance(law, Gamma) and law.n <= _LARGEST_N
     count = _BY_TRAPEZOID if trapezoid else _BY_PANELS
     parts = np.split(y, range(count, y.size, count))
     if isinstance(law, Gamma) and trapezoid:
-        step = _FINER_STEP if finer else _STEP
+        step = _FINER_TRAPEZOID if finer else _TRAPEZOID_STEP
         found = [_trapezoid(law, stiffness, barrier, b, part, step) for part in parts]
     else:
-        rule = gauss_legendre(_FINER_ORDER if finer else _ORDER)
-        weak = np.exp(-_WEAK[log_w > _WEAK + _UNSEEN])
+        rule = gauss_legendre(order or (_FINER_ORDER if finer else _ORDER))
+        weak = np.exp(-_WEAK[log_w > _WEAK + _UNSEEN_ATTEMPTS])
         ends = _ends_of_panels(law, weak)
         found = [
             _by_panels(law, stiffness, barrier(b, log_w), part, ends, rule)  # type: ignore[call-arg]
@@ -129,7 +142,7 @@ def _trapezoid(
     a = np.maximum(b * relative_stiffness(stiffness, origin, rms), 1e-300)
     gap = np.minimum(barrier.width(1.0, origin, a), far)
     gap = (1.0 / (1.0 / gap + 2.0 * y + 1.0))[:, None]
-    u = np.arange(_LEFT, math.log(50.0 + 6.0 * n), step / math.sqrt(1.0 + 0.25 * n))
+    u = np.arange(_LEFT_END, math.log(50.0 + 6.0 * n), step / math.sqrt(1.0 + 0.25 * n))
     beyond, y = gap * np.exp(u - np.exp(-u)), y[:, None]
     xi = y + beyond
     a = b * relative_stiffness(stiffness, xi, rms)
@@ -176,7 +189,10 @@ def _by_panels(
     layer = np.concatenate((origin + np.minimum(near, far), fixed), axis=1)
     edges = np.sqrt(np.maximum(panels_above(law, y[:, 0], layer) - y, 0.0))
     with np.errstate(invalid="ignore"):  # at y = 0 the first edge is xi = 0
-        unseen = barrier.log_w - barrier.exponent(*contact(y, edges[:, :-1])) <= _UNSEEN
+        unseen = (
+            barrier.log_w - barrier.exponent(*contact(y, edges[:, :-1]))
+            <= _UNSEEN_ATTEMPTS
+        )
     row, column = np.nonzero((np.diff(edges, axis=1) > 0) & ~unseen)
     half = 0.5 * (edges[row, column + 1] - edges[row, column])[:, None]
     root = edges[row, column, None] + half * (1.0 + rule.nodes)
@@ -191,12 +207,10 @@ def _steep(law: ThresholdLaw) -> Array:
     """Thresholds, in factors of 4 of their distance from the least one, of a law with
     so many weak contacts that its density may be infinite there; none of other laws."""
     low = law.support[0] / law.scale
-    least = max(
-        float(law.inverse_survival(1e-10)) / law.scale - low, 1e-15 * low, 1e-100
-    )
-    return (
-        low + 4.0 ** np.arange(math.log(least, 4.0), 0.0) if least < 1e-6 else NO_STEPS
-    )
+    weakest = float(law.inverse_survival(1e-10)) / law.scale
+    least = max(weakest - low, 1e-15 * low, 1e-100)
+    towards = low + 4.0 ** np.arange(math.log(least, 4.0), 0.0)
+    return towards if least < 1e-6 else NO_STEPS
 
 
 def pooled_hazard(
@@ -212,25 +226,26 @@ def pooled_hazard(
     """
     if law.steps.size:
         return _pooled_steps(law, stiffness, barrier, b)
+
+    def rate(y: Array) -> Array:
+        order = _TABLE_ORDER if isinstance(law, Smooth) else None
+        return pooled_rate(law, stiffness, barrier, b, y, order=order)
+
     low, high = (edge / law.scale for edge in law.support)
     top = min(float(law.inverse_survival(60.0)) / law.scale, high)
-    toward = 2.0 ** -np.arange(
-        0.0, 46.0, 0.125
-    )  # the ends of the support are approached from both sides
+    # the ends of the support are approached from both sides
+    toward = 2.0 ** -np.arange(0.0, 46.0, 0.125)
     linear = 1e-2 * min(1.0, 1.0 / b)  # G is nearly proportional to y up to here
     first = min([1e-14, *_steep(law)[:1]]) if low == 0 else 1e-14
     nodes = [np.geomspace(first, linear, 200), np.linspace(0.0, top, 1500)]
-    nodes.append(
-        4.0 ** np.arange(math.log(first, 4.0), math.log(1e-14, 4.0), 0.125)
-    )  # of rates that are not constant
+    # of rates that are not constant
+    nodes.append(4.0 ** np.arange(math.log(first, 4.0), math.log(1e-14, 4.0), 0.125))
     nodes.append(np.geomspace(linear, top, math.ceil(math.log(top / linear) / 0.01)))
-    if (
-        low > 0
-    ):  # below the support the rate falls off as exp(-b (low^2 - y^2)): resolve its exponent
-        nodes.append(
-            low
-            - low * 2.0 ** -np.arange(0.0, min(46.0, 14.0 + math.log2(1.0 + b)), 1 / 32)
-        )
+    if low > 0:
+        # below the support the rate falls off as exp(-b (low^2 - y^2)): resolve its
+        # exponent
+        halvings = min(46.0, 14.0 + math.log2(1.0 + b))
+        nodes.append(low - low * 2.0 ** -np.arange(0.0, halvings, 1 / 32))
         nodes.append(low + (top - low) * toward)
     if math.isfinite(high):
         nodes.append(top - (top - low) * toward)
@@ -238,44 +253,31 @@ def pooled_hazard(
     y = y[y >= first]
     if low == 0 and math.isinf(high) and not law.breakpoints.size:  # h is smooth
         y = np.unique(
-            np.append(y, np.asarray(law.inverse_survival(_RANKS)) / law.scale)
+            np.append(y, np.asarray(law.inverse_survival(_NODE_RANKS)) / law.scale)
         )
         y = y[(y >= first) & (y <= top)]
-        h = pooled_rate(law, stiffness, barrier, b, y)
+        h = rate(y)
         y, h = y[h > 1e-300], h[h > 1e-300]
         if y.size < 2:
             return NO_POOL
         log_y, log_h = np.log(y), np.log(h)
-        rate = interpolate.CubicSpline(
-            log_y, log_h
-        )  # the rate may rise by factors of 1e8 between neighbours
-        parts = np.maximum(np.ceil(np.abs(np.diff(log_h)) / _RISE), 1.0)
-        at = np.interp(
-            np.arange(parts.sum() + 1), np.append(0.0, np.cumsum(parts)), log_y
-        )
-        return _pooled_cells(at, lambda x: np.exp(rate(x)))
-    return _pooled_cells(
-        np.log(y), lambda x: pooled_rate(law, stiffness, barrier, b, np.exp(x))
-    )
+        # the rate may rise by factors of 1e8 between neighbours
+        log_rate = interpolate.CubicSpline(log_y, log_h)
+        parts = np.maximum(np.ceil(np.abs(np.diff(log_h)) / _RISE_OF_RATE), 1.0)
+        ends = np.append(0.0, np.cumsum(parts))
+        at = np.interp(np.arange(parts.sum() + 1), ends, log_y)
+        return _pooled_cells(at, lambda x: np.exp(log_rate(x)))
+    return _pooled_cells(np.log(y), lambda x: rate(np.exp(x)))
 
 
 def _pooled_cells(log_y: Array, rate: Callable[[Array], Array]) -> PooledHazard:
-    """G at nodes ln y, between which 3 points of the rate, a function of ln y, will do."""
-    half = 0.5 * np.diff(log_y)[:, None]
-    inner = log_y[:-1, None] + half * (1.0 + _FEW_NODES)
-    cells = (
-        half * _FEW_WEIGHTS * np.exp(inner) * rate(inner.ravel()).reshape(inner.shape)
-    )
+    """G at nodes ln y, from three points of the rate, a function of ln y, in between."""
+    inner, weights = gauss_legendre(3).between(log_y[:-1], log_y[1:])
+    cells = weights * np.exp(inner) * rate(inner.ravel()).reshape(inner.shape)
     y, h = np.exp(log_y), rate(log_y)
-    return _pool(y, y[0] * h[0] + np.append(0.0, np.cumsum(cells.sum(axis=1))), h, h)
-
-
-_FEW_NODES, _FEW_WEIGHTS = special.roots_legendre(3)
-_RISE = 0.25  # of ln h between nodes
-_Z = np.arange(-37.0, 10.0, 0.05)
-_RANKS = np.where(
-    _Z < 0, -np.log1p(-np.minimum(special.ndtr(_Z), 0.5)), -special.log_ndtr(-_Z)
-)  # e of nodes
+    return _monotone(
+        y, y[0] * h[0] + np.append(0.0, np.cumsum(cells.sum(axis=1))), h, h
+    )
 
 
 def _pooled_steps(
@@ -287,29 +289,23 @@ def _pooled_steps(
     xi = np.unique(law.steps) / law.scale
     if xi.size > MOST_POOLED_STEPS:
         raise InputError(
-            f"thresholds: {xi.size} different values; annealed disorder at kT > 0 takes at most {MOST_POOLED_STEPS}"
+            f"thresholds: {xi.size} different values; annealed disorder at kT > 0 takes "
+            f"at most {MOST_POOLED_STEPS}"
         )
     weight = np.unique(law.steps, return_counts=True)[1] / law.steps.size
     a = b * relative_stiffness(stiffness, xi, law.rms / law.scale)
-    fine = (
-        8 if xi.size <= 64 else 4 if xi.size <= 512 else 1
-    )  # nodes per halving of the distance to a threshold
+    # nodes per halving of the distance to a threshold
+    fine = 8 if xi.size <= 64 else 4 if xi.size <= 512 else 1
     nodes = [xi[0] * 2.0 ** -np.arange(0.0, 50.0, 0.25)]  # from the linear beginning
     for low, high, scale in zip(np.append(0.0, xi[:-1]), xi, 2 * a * xi, strict=True):
-        depth = 12 + math.ceil(
-            math.log2(max(scale * (high - low), 1.0))
-        )  # down to a fraction of the layer
-        nodes.append(
-            high
-            - (high - low) * np.append(2.0 ** (-np.arange(1, depth * fine) / fine), 0.0)
-        )
-        if low and high - low > low / 16:  # G grows by a constant rate: no power of x
-            nodes.append(
-                low
-                + (high - low)
-                * 2.0
-                ** -np.arange(0.125, math.log2(16 * (high / low - 1.0)) + 1.0, 0.125)
-            )
+        gap = high - low
+        # down to a fraction of the layer
+        depth = 12 + math.ceil(math.log2(max(scale * gap, 1.0)))
+        halved = 2.0 ** (-np.arange(1, depth * fine) / fine)
+        nodes.append(high - gap * np.append(halved, 0.0))
+        if low and gap > low / 16:  # G grows by a constant rate: no power of x
+            last = math.log2(16 * (high / low - 1.0)) + 1.0
+            nodes.append(low + gap * 2.0 ** -np.arange(0.125, last, 0.125))
     y = np.unique(np.concatenate(nodes))
     G = mean_hazard(barrier, y, xi, weight, a)
     left, right = np.zeros(y.size), np.zeros(y.size)
@@ -319,7 +315,7 @@ def _pooled_steps(
             rate = weight[j] * np.exp(barrier.log_rate(y[: k + 1], xi[j], a[j]))
         left[: k + 1] += rate  # the rate drops at each threshold
         right[:k] += rate[:-1]
-    return _pool(y, G, left, right)
+    return _monotone(y, G, left, right)
 
 
 def mean_hazard(
@@ -335,19 +331,17 @@ def mean_hazard(
     return G
 
 
-def _pool(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
+def _monotone(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
     """From h just left and right of each node: drop nodes that cannot be told apart,
     and keep the interpolant monotone (Fritsch and Carlson)."""
     keep = np.append(True, np.diff(G) > 0) & (G > 1e-290)
     x, G = x[keep], G[keep]
-    with np.errstate(
-        divide="ignore", over="ignore", invalid="ignore"
-    ):  # neighbours whose logarithms are the same
+    # the logarithms of neighbours may be the same
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         limit = 3.0 * np.diff(np.log(x)) / np.diff(np.log(G))
         left, right = G / (x * left[keep]), G / (x * right[keep])
-    return PooledHazard(
-        x, G, np.fmin(np.stack((right[:-1], left[1:]), axis=1), limit[:, None])
-    )
+    slopes = np.stack((right[:-1], left[1:]), axis=1)
+    return PooledHazard(x, G, np.fmin(slopes, limit[:, None]))
 
 
 # It takes 0.1 to 0.3 s, and a sweep over velocity asks for it at every point; 32 tables
@@ -356,19 +350,19 @@ def _pool(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
 def pooled_hazard_of(
     law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float
 ) -> PooledHazard:
-    """`pooled_hazard`, remembered: it does not depend on velocity."""
+    """Cached `pooled_hazard`, which does not depend on velocity."""
     return pooled_hazard(law, stiffness, barrier, b)
 
 
-class _Numbers(NamedTuple):
+class _PooledNumbers(NamedTuple):
     log_w: float
     x: Array
     G: Array
     slopes: Array
 
 
-class Pooled(_Numbers, Law):
-    """What a kernel needs of annealed contacts: ln(omega x_*/v) and the pooled hazard."""
+class Pooled(_PooledNumbers, Law):
+    """Annealed contacts for kernels: ln(omega x_*/v) and the pooled hazard."""
 
     __slots__ = ()
     thermal: ClassVar[bool] = True
@@ -379,24 +373,26 @@ class Pooled(_Numbers, Law):
 
 
 @stretch.register(Pooled)
-def _stretch(
+def _pooled_stretch(
     law: Pooled, table: Array, xi: float, stiffness: float, clock: float
 ) -> float:
     return min(xi, _inverse(law.x, law.G, law.slopes, clock * math.exp(-law.log_w)))
 
 
 @hazard.register(Pooled)
-def _hazard(law: Pooled, table: Array, xi: float, stiffness: float, x: float) -> float:
+def _pooled_hazard(
+    law: Pooled, table: Array, xi: float, stiffness: float, x: float
+) -> float:
     return math.exp(law.log_w) * _hermite(law.x, law.G, law.slopes, x)[0]
 
 
 @rate.register(Pooled)
-def _rate(law: Pooled, xi: float, stiffness: float, x: float) -> float:
+def _pooled_rate(law: Pooled, xi: float, stiffness: float, x: float) -> float:
     return math.exp(law.log_w) * _hermite(law.x, law.G, law.slopes, x)[1]
 
 
 @mean_rate.register(Pooled)
-def _mean_rate(
+def _pooled_mean_rate(
     law: Pooled, table: Array, xi: float, stiffness: float, x: float, length: float
 ) -> float:
     if length < _POINT * x or length == 0.0:
@@ -418,7 +414,7 @@ class _Cubic(NamedTuple):
 
 
 @routine(inline=True)
-def _cell(x: Array, G: Array, slopes: Array, low: int) -> _Cubic:
+def _cell_at(x: Array, G: Array, slopes: Array, low: int) -> _Cubic:
     """The cell that begins at a node, about its beginning, t = 0; it ends at t = 1."""
     width, rise = math.log(G[low + 1] / G[low]), math.log(x[low + 1] / x[low])
     left, right = slopes[low, 0] * width, slopes[low, 1] * width
@@ -428,26 +424,26 @@ def _cell(x: Array, G: Array, slopes: Array, low: int) -> _Cubic:
 
 
 @routine(inline=True)
-def _about(cell: _Cubic, t: float) -> _Cubic:
+def _cell_about(cell: _Cubic, t: float) -> _Cubic:
     """A cell about another t."""
     slope = cell.slope + t * (2.0 * cell.curve + 3.0 * t * cell.third)
     return _Cubic(cell.width, slope, cell.curve + 3.0 * t * cell.third, cell.third)
 
 
 @routine(inline=True)
-def _change(cell: _Cubic, step: float) -> float:
+def _change_in(cell: _Cubic, step: float) -> float:
     """Change of ln x in a step of t."""
     return step * (cell.slope + step * (cell.curve + step * cell.third))
 
 
 @routine
-def _step(cell: _Cubic, change: float, most: float) -> float:
+def _step_of_t(cell: _Cubic, change: float, most: float) -> float:
     """The step of t, at most `most`, in which ln x grows by `change` > 0, to rounding
     however short: Newton in a bracket."""
     below, above = 0.0, most
     step = min(change / cell.slope, most) if cell.slope > 0.0 else 0.5 * most
     for _ in range(60):
-        excess = _change(cell, step) - change
+        excess = _change_in(cell, step) - change
         if excess > 0.0:
             above = step
         else:
@@ -471,10 +467,10 @@ def _hermite(x: Array, G: Array, slopes: Array, stretch: float) -> tuple[float, 
     if stretch >= x[last]:
         return G[last], 0.0
     low = np.searchsorted(x, stretch, side="right") - 1
-    cell = _cell(x, G, slopes, low)
-    t = _step(cell, math.log(stretch / x[low]), 1.0)
+    cell = _cell_at(x, G, slopes, low)
+    t = _step_of_t(cell, math.log(stretch / x[low]), 1.0)
     value = G[low] * math.exp(t * cell.width)
-    return value, value * cell.width / max(_about(cell, t).slope, 1e-300) / stretch
+    return value, value * cell.width / max(_cell_about(cell, t).slope, 1e-300) / stretch
 
 
 @routine
@@ -506,10 +502,12 @@ def _rise_in(
     x: Array, G: Array, slopes: Array, low: int, stretch: float, length: float
 ) -> float:
     """`_rise` within a cell."""
-    cell = _cell(x, G, slopes, low)
-    t = _step(cell, math.log(stretch / x[low]), 1.0) if stretch > x[low] else 0.0
+    cell = _cell_at(x, G, slopes, low)
+    t = _step_of_t(cell, math.log(stretch / x[low]), 1.0) if stretch > x[low] else 0.0
     step = (
-        _step(_about(cell, t), math.log1p(length / stretch), max(1.0 - t, 0.0))
+        _step_of_t(
+            _cell_about(cell, t), math.log1p(length / stretch), max(1.0 - t, 0.0)
+        )
         if length > 0.0
         else 0.0
     )
@@ -518,7 +516,7 @@ def _rise_in(
 
 @routine(inline=True)
 def _inverse(x: Array, G: Array, slopes: Array, target: float) -> float:
-    """Where G = target; infinite if G never gets there."""
+    """The stretch where G = target; infinite if G never gets there."""
     last = G.size - 1
     if target >= G[last]:
         return math.inf
@@ -531,29 +529,21 @@ def _inverse(x: Array, G: Array, slopes: Array, target: float) -> float:
             low = middle
         else:
             high = middle
-    width, rise = math.log(G[high] / G[low]), math.log(x[high] / x[low])
-    t = math.log(target / G[low]) / width
-    left, right = slopes[low, 0] * width, slopes[low, 1] * width
-    return x[low] * math.exp(
-        t
-        * (
-            left
-            + t * (3.0 * rise - 2.0 * left - right + t * (left + right - 2.0 * rise))
-        )
-    )
+    cell = _cell_at(x, G, slopes, low)
+    return x[low] * math.exp(_change_in(cell, math.log(target / G[low]) / cell.width))
 
 
 @onward.register(Pooled)
-def _onward(
+def _pooled_onward(
     law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: float
 ) -> float:
     return min(
-        _ahead(law.x, law.G, law.slopes, y, clock * math.exp(-law.log_w)), xi - y
+        _travel_ahead(law.x, law.G, law.slopes, y, clock * math.exp(-law.log_w)), xi - y
     )
 
 
 @routine
-def _ahead(x: Array, G: Array, slopes: Array, y: float, ticks: float) -> float:
+def _travel_ahead(x: Array, G: Array, slopes: Array, y: float, ticks: float) -> float:
     """The travel from y in which G grows by `ticks`, to rounding however short;
     infinite if it never does."""
     last, passed = G.size - 1, 0.0
@@ -565,17 +555,17 @@ def _ahead(x: Array, G: Array, slopes: Array, y: float, ticks: float) -> float:
             return ticks * (x[0] / G[0])
         y, ticks, passed = x[0], ticks - ahead, x[0] - y
     low = np.searchsorted(x, y, side="right") - 1
-    cell = _cell(x, G, slopes, low)
-    t = _step(cell, math.log(y / x[low]), 1.0) if y > x[low] else 0.0
+    cell = _cell_at(x, G, slopes, low)
+    t = _step_of_t(cell, math.log(y / x[low]), 1.0) if y > x[low] else 0.0
     now = G[low] * math.exp(t * cell.width)
     step = math.log1p(ticks / now) / cell.width
     if step <= 1.0 - t:
-        return passed + y * math.expm1(_change(_about(cell, t), step))
+        return passed + y * math.expm1(_change_in(_cell_about(cell, t), step))
     return passed + max(_inverse(x, G, slopes, now + ticks) - y, x[low + 1] - y)
 
 
 @back.register(Pooled)
-def _back(
+def _pooled_back(
     law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: float
 ) -> tuple[float, float]:
     ticks = clock * math.exp(-law.log_w)
@@ -595,10 +585,10 @@ def _behind(x: Array, G: Array, slopes: Array, y: float, ticks: float) -> float:
     if y >= x[last]:  # no attempt succeeds beyond
         y, passed = x[last], y - x[last]
     low = np.searchsorted(x, y, side="right") - 1 if y < x[last] else last - 1
-    cell = _cell(x, G, slopes, low)
-    t = _step(cell, math.log(y / x[low]), 1.0) if y > x[low] else 0.0
+    cell = _cell_at(x, G, slopes, low)
+    t = _step_of_t(cell, math.log(y / x[low]), 1.0) if y > x[low] else 0.0
     now = G[low] * math.exp(t * cell.width)
     step = -math.log1p(-min(ticks / now, 1.0)) / cell.width
     if step <= t:
-        return passed - y * math.expm1(_change(_about(cell, t), -step))
+        return passed - y * math.expm1(_change_in(_cell_about(cell, t), -step))
     return passed + max(y - _inverse(x, G, slopes, max(now - ticks, 0.0)), y - x[low])
