@@ -17,6 +17,7 @@ from eqsim import Ensemble, Thermal, trajectory, transient
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 LISTED = "eqsim/laws/barrier/__init__.py"
+KEY_FILES = "eqsim/catalogue.toml", "eqsim/io/units.py"
 COMPARE = """
 import json, sys
 from eqsim import Delay, Drive, Ensemble, Thermal, reference, steady, trajectory, transient, z_score
@@ -69,11 +70,31 @@ print(json.dumps({
 """
 
 
-def block(language, part="law"):
-    """The one block of a language in how to add that."""
+def blocks(language, part):
+    """The blocks of a language in how to add that."""
     text = TEXT.split(f"## How to add a {part}\n")[1].split("\n## ")[0]
-    [found] = re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def block(language, part="law"):
+    """The one block."""
+    [found] = blocks(language, part)
     return found
+
+
+def changed(text, diff):
+    """A text with changes that are shown with lines beside them, each of which is found
+    once."""
+    for hunk in diff.split("@@\n"):
+        old, new = (
+            "".join(
+                line[1:] or "\n" for line in hunk.splitlines(True) if line[0] != sign
+            )
+            for sign in "+-"
+        )
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return text
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +120,11 @@ def copy(tmp_path_factory):
             text = text.replace(line, "")
         else:  # no import comes after
             text += f"\n{line}\n"
+    for name, diff in zip(KEY_FILES, blocks("diff", "key of a run file"), strict=True):
+        path = folder / name
+        path.write_text(
+            changed(path.read_text(encoding="utf-8"), diff), encoding="utf-8"
+        )
     plain = law.split("@stretch.register")[0].replace(
         "Bell", "Plain"
     )  # whose hazard nobody inverts
@@ -202,6 +228,23 @@ def test_the_law_works_in_run_files(copy, tmp_path):
         'thermal.barrier = \'cusp\': must be one of "soft", "stiff", "bell"'
         in done.stderr
     )
+
+
+def test_the_key_works_in_run_files(copy, tmp_path):
+    path = tmp_path / "run.toml"
+    load = "[interface]\nnormal_load = 100.0\n"
+    path.write_text(f"[drive]\nvelocity = 0.1\n{load}", encoding="utf-8")
+    mu = {}
+    for adhesion in (1e-9, 300.0):
+        more = ("--json", "--set", f"interface.adhesion={adhesion}")
+        done = copy("-m", "eqsim", "reference", str(path), *more)
+        found = json.loads(done.stdout)["physical"]["friction_coefficient"]["value"]
+        mu[adhesion] = found
+    assert mu[300.0] == pytest.approx(mu[1e-9] / 4.0, rel=1e-9, abs=0)
+    done = copy("-m", "eqsim", "reference", str(path), "--set", "interface.adhesion=-1")
+    assert done.returncode == 2
+    assert "interface.adhesion = -1" in done.stderr
+    assert all(f"`{name}`" in TEXT for name in KEY_FILES)
 
 
 def test_the_law_touches_two_files_and_three_functions():

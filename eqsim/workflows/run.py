@@ -51,8 +51,7 @@ class RunResult(SimulatedFile):
     Attributes
     ----------
     file : RunFile
-    ensemble : Ensemble
-    drive : Drive
+        Whose ensemble and drive are attributes of the result, too.
     steady : Steady
         Steady averages of the ensemble.
     trajectory : Trajectory
