@@ -13,7 +13,7 @@ from test_asymptotics import exponent, star1
 from eqsim import Aging, Delay, Drive, Ensemble, Gamma, InputError, Thermal
 from eqsim.laws.aging import Flow
 from eqsim.laws.barrier import BARRIERS, Mechanical
-from eqsim.master.closure import _march, _Pool
+from eqsim.master.closure import AgedLaws, march_closure
 from eqsim.master.closure import closure as solve
 from eqsim.master.transient import transient
 
@@ -83,7 +83,7 @@ def test_comes_to_rest_at_star1(monkeypatch, kT, aging):
     more away."""
     D, x_i, x_f, v = aging
     monkeypatch.setattr(
-        "eqsim.master.closure._MOST_CELLS", 1000
+        "eqsim.master.closure.MOST_CELLS", 1000
     )  # half the accuracy is enough, and faster
     C, f_k, _ = star1(v, D, x_i, x_f, kT)
     other_C, other_f_k, _ = star1(v, 1.05 * D, x_i, x_f, kT)
@@ -114,8 +114,8 @@ def marched(cells, x_f, rate, thermal):
         barrier = BARRIERS[thermal.barrier](
             0.5 / thermal.kT, math.log(2.0 * thermal.attempt_frequency)
         )
-    pool = _Pool(1.0, Flow(x_f**2, rate), 4.0, barrier)
-    means = _march(pool, 4.0 / cells, cells)
+    pool = AgedLaws(1.0, Flow(x_f**2, rate), 4.0, barrier)
+    means = march_closure(pool, 4.0 / cells, cells)
     return np.array([quantity[:: cells // 50] for quantity in means])[:, 2:]
 
 
@@ -159,10 +159,10 @@ def test_stated_errors(monkeypatch, n, x_i, x_f, D, kT, v):
     """A grid three times finer, whose error is nine times smaller, lies within the
     stated errors."""
     arguments = {"thermal": Thermal(kT), "velocity": v, "distance": 2.0, "points": 51}
-    monkeypatch.setattr("eqsim.master.closure._MOST_CELLS", 600)
+    monkeypatch.setattr("eqsim.master.closure.MOST_CELLS", 600)
     found = closure(n, x_i, x_f, D, **arguments)
-    monkeypatch.setattr("eqsim.master.closure._LEAST_CELLS", 1800)
-    monkeypatch.setattr("eqsim.master.closure._MOST_CELLS", 1800)
+    monkeypatch.setattr("eqsim.master.closure.FEWEST_CELLS", 1800)
+    monkeypatch.setattr("eqsim.master.closure.MOST_CELLS", 1800)
     finer = closure(n, x_i, x_f, D, **arguments)
     for name in ("force", "breaks", "mean_threshold"):
         difference = np.abs(getattr(found, name) - getattr(finer, name))

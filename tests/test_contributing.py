@@ -289,35 +289,6 @@ def test_the_drive_is_simulated_and_solved_for():
     assert right < 4.5 < wrong
 
 
-WIDE = """
-from eqsim.fitting.symmetry import powers_of
-from eqsim.io import labels, runfile
-file = runfile.at(runfile.check({"sweep": {"contacts.width": [1.0]}}), {"contacts.width": 2.0})
-print(file.ensemble.width, runfile.keys()["contacts.width"], powers_of(file, "contacts.width"))
-print(labels.axis("contacts.width", file.units), labels.column("contacts.width", file.units))
-"""
-
-
-def test_the_key_that_it_adds(tmp_path):
-    """Two files make a key that run files, sweeps, fits, labels and tables know."""
-    text = TEXT.split("## How to add a key of a run file")[1].split("\n## ")[0]
-    entry, field = re.findall(r"```\w+\n(.*?)```", text, re.DOTALL)
-    shutil.copytree(ROOT / "eqsim", tmp_path / "eqsim")
-    changes = {
-        "catalogue.toml": ('[keys."thresholds.law"]', f'{entry}\n[keys."thresholds.law"]'),
-        "model/ensemble.py": ("    newborn: Newborn = Newborn()\n", f"    newborn: Newborn = Newborn()\n{field}"),
-    }  # fmt: skip
-    for path, (old, new) in changes.items():
-        file = tmp_path / "eqsim" / path
-        file.write_text(file.read_text(encoding="utf-8").replace(old, new), "utf-8")
-    command = [sys.executable, "-c", WIDE]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert done.stdout.splitlines() == [
-        "2.0 <class 'float'> (1, 0)",
-        "width of a contact  $w$  [$x_*$] ('', 'length')",
-    ], done.stderr
-
-
 def test_observables_are_estimated_where_it_says():
     steps = TEXT.split("## How to add an observable")[1].split("\n## ")[0]
     found = re.findall(r"`([\w/.]+)`", steps)

@@ -119,7 +119,7 @@ def along_programme(seed, enlarged=1.0):
             for sign, n, pace in legs
         ]
     )
-    means = programme.means_of(ensemble, drive, drive.grid(3))
+    means = programme.means_along(ensemble, drive, drive.grid(3))
     how = {"delay": tau, "exponential": exponential, "enlarged": enlarged}
     coarse, fine = (on_lattice(law, legs, fine, **how) for fine in FINE)
     return worst(means.force, means.force_error, coarse, fine, law.steps.size > 0)
@@ -154,7 +154,7 @@ def behind_stage(seed, enlarged=1.0):
         )
         force = kappa * (grid.t - X[i - 1] - part * (X[i] - X[i - 1]))
         known.append((enlarged * force, enlarged * force))
-    return worst(found.means.force, found.means.force_error, *known, False)
+    return worst(found.force, found.force_error, *known, False)
 
 
 @chosen("seed", range(6), [0, 2, 3])
@@ -192,7 +192,7 @@ def test_below_the_least_threshold():
     for law, X in ((Pareto(3.5), 0.994), (Uniform(0.9, 1.1), 0.9), (Delta(1e6), 3.0)):
         drive = Programme([Segment(1.0, distance=X, points=50)])
         ensemble = Ensemble(law, stiffness_law="uniform")
-        means = programme.means_of(ensemble, drive, drive.grid(3))
+        means = programme.means_along(ensemble, drive, drive.grid(3))
         assert means.force[-1] == pytest.approx(X, rel=0, abs=means.force_error[-1])
         assert means.force_error[-1] < 3e-6 * X
 
@@ -203,7 +203,7 @@ def test_steps_end_where_the_density_jumps():
     which contacts begin to break miss hundreds of times that."""
     ensemble = Ensemble(Uniform(0.9, 1.1), stiffness_law="uniform")
     drive = Programme([Segment(1.0, distance=2.5)])
-    means = programme.means_of(ensemble, drive, drive.grid(26))
+    means = programme.means_along(ensemble, drive, drive.grid(26))
     exact = transient(ensemble, Drive(1.0, 2.5), 26)
     assert np.all(
         np.abs(means.force - exact.force) <= means.force_error + exact.force_error
@@ -217,7 +217,7 @@ def test_contacts_that_never_break():
     law, X = Table([1.0, 1e6]), 3.1
     ensemble = Ensemble(law, stiffness_law="uniform")
     drive = Programme([Segment(1.0, distance=X)])
-    means = programme.means_of(ensemble, drive, drive.grid(50))
+    means = programme.means_along(ensemble, drive, drive.grid(50))
     (low, high), _ = on_lattice(law, [(1, 310, 1.0)], 10), None
     assert low[-1] == high[-1]
     assert means.force[-1] == pytest.approx(high[-1], rel=0, abs=means.force_error[-1])
@@ -254,9 +254,9 @@ def test_all_but_at_rest(stage, barrier, disorder):
             disorder=disorder,
         )
         if stage is None:
-            means = programme.means_of(ensemble, drive, drive.grid(10))
+            means = programme.means_along(ensemble, drive, drive.grid(10))
         else:
-            means = slider.pulled_of(ensemble, drive, drive.grid(10)).means
+            means = slider.pulled_of(ensemble, drive, drive.grid(10))
         found.append(means)
     assert found[0].force[10] < found[0].force[5] - 0.003
     for means in found[1:]:

@@ -3,7 +3,6 @@ others, contacts one by one."""
 
 import itertools
 import math
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ from eqsim import (
 )
 from eqsim.errors import InputError
 from eqsim.laws.aging import Aging
-from eqsim.laws.aging.base import AgingLaw
+from eqsim.laws.aging.logarithmic import Logarithmic
 from eqsim.master import programme
 from eqsim.model.drive import Programme, Segment
 
@@ -188,21 +187,6 @@ def test_velocity_steps(kind, before, after, extreme, place, a, b, memory):
     assert abs(found.X[at + int(np.argmax(rest))] - found.X[at] - memory) < 0.05
 
 
-class _Numbers(NamedTuple):
-    beta: float
-    cutoff: float
-
-
-class Logarithmic(_Numbers, AgingLaw):
-    """Any growth of all thresholds alike: here 1 + beta ln(1 + t/t_c), the stiffness
-    being that at birth."""
-
-    __slots__ = ()
-
-    def growth_at(self, x):
-        return 1.0 + self.beta * np.log1p(x / self.cutoff)
-
-
 @pytest.fixture
 def strengthen(monkeypatch):
     """Let thresholds grow by beta = .05 per ln t, t_c = .1."""
@@ -210,9 +194,8 @@ def strengthen(monkeypatch):
 
     def course_of(ensemble, drive):
         s, course = declared(ensemble, drive)
-        return s._replace(
-            aging=Logarithmic(0.05, 0.1 / sum(part.duration for part in drive.segments))
-        ), course
+        time = sum(segment.duration for segment in drive.segments)
+        return s._replace(aging=Logarithmic(0.05, time / 0.1)), course
 
     monkeypatch.setattr(programme, "course_of", course_of)
 
@@ -604,9 +587,9 @@ REFINED = [
 def refined_ratio(ensemble, drive, monkeypatch):
     """What twice the steps and strata change, in units of the stated errors."""
     coarse = transient(ensemble, drive, points=101, variance=True)
-    for name in ("_PATH", "_GROWTH", "_FIRST"):
+    for name in ("STEP_PER_WIDTH", "STEP_PER_AGE", "FIRST_STEP"):
         monkeypatch.setattr(programme, name, getattr(programme, name) / 2)
-    for name in ("_STRATA", "_CELLS"):
+    for name in ("STRATA", "TABLE_CELLS"):
         monkeypatch.setattr(programme, name, getattr(programme, name) * 2)
     fine = transient(ensemble, drive, points=101, variance=True)
     monkeypatch.undo()

@@ -513,7 +513,7 @@ def missed(solve, monkeypatch):
     """What a grid four times as fine changes, in units of the stated error, of each
     pair of a value and its error."""
     coarse = solve()
-    monkeypatch.setattr("eqsim.master.transient._CELL", 0.005)
+    monkeypatch.setattr("eqsim.master.transient._CELL_PER_THRESHOLD", 0.005)
     monkeypatch.setattr("eqsim.master.transient._LEAST_CELLS", 2000)
     fine = solve()
     monkeypatch.undo()

@@ -296,12 +296,12 @@ MEAN_FIELD = {
 def test_motion_in_a_step(mass, stiffness, dt):
     """By the exponential of a matrix: to 1e-3 of the displacement, to 1e-4 without a
     mass, whatever the stiffness."""
-    motion, y = slider.Motion(mass, 0.1, stiffness), np.array([0.0, 0.5, 0.7, 1.3])
+    y = np.array([0.0, 0.5, 0.7, 1.3])
     row = [-stiffness, -0.1, 1.0, 0.0] if mass else [0.0] * 4
     first = [0, 1, 0, 0] if mass else [-stiffness / 0.1, 0.0, 10.0, 0.0]
     rates = np.array([first, np.array(row) / (mass or 1.0), [0, 0, 0, 1], [0.0] * 4])
     exact = (linalg.expm(dt * rates) @ y)[0]
-    found, _ = slider.moved(motion, 0.7, 1.3, 0.5, dt)
+    found, _ = slider.displaced(mass, 0.1, stiffness, 0.7, 1.3, 0.5, dt)
     assert found == pytest.approx(exact, rel=1e-3 if mass else 1e-4, abs=0)
 
 
@@ -310,9 +310,6 @@ def test_mean_field_is_of_second_order():
     the steps the error is more than 12 times as large, as of order 1.8 or more."""
     programme = Programme([Segment(0.1, time=1.0)], stage=STICKING)
     reduced, course = course_of(DELAYED, programme)
-    marks, speeds, at = slider._marks(
-        np.array([0.0, 1.0]), course.ends, course.velocity
-    )
     spring = slider.Spring(0.1, 0.1, 0.0, 0.0, False, 7.5, 0.0, False, False)
 
     def rate(t, X):
@@ -321,10 +318,9 @@ def test_mean_field_is_of_second_order():
     exact = integrate.solve_ivp(rate, (0.0, 1.0), [0.0], rtol=1e-12, atol=1e-13).y[
         0, -1
     ]
-    task = slider._Task(
-        numerics_of(reduced, course, math.inf), spring, marks, speeds, at
-    )
-    found = (slider._solved(task, fine) for fine in (1, 4))
+    numerics = numerics_of(reduced, course, math.inf)
+    task = slider.PulledTask(numerics, spring, np.array([0.0, 1.0]))
+    found = (slider.solved(task, fine) for fine in (1, 4))
     coarse, fine = (abs(values.X[-1] - exact) for values, _ in found)
     assert coarse < 1e-5
     assert fine < coarse / 12

@@ -26,8 +26,9 @@ from eqsim.fitting.model import Problem
 from eqsim.fitting.section import Fit
 from eqsim.io.csv import read
 from eqsim.io.runfile import RunFile, at
-from eqsim.master.programme import means_of
-from eqsim.master.slider import Steps, TooManySteps, force_of, steps_of
+from eqsim.master.cohorts import NO_CHOICES, Choices
+from eqsim.master.programme import means_along
+from eqsim.master.slider import TooManySteps, choices_of, force_of
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
@@ -102,7 +103,7 @@ class RecordForward:
     With a stage it is solved with coarse steps: what these miss, relative to the force,
     hardly depends on the parameters, and is the `correction` that was found at some of
     them, with the `error` that is left. A solve that chooses its own steps is a rough
-    function of parameters; with `steps` chosen at some of them it is smooth around.
+    function of parameters; with `choices` made at some of them it is smooth around.
     """
 
     file: RunFile
@@ -111,7 +112,7 @@ class RecordForward:
     fixed_scale: float
     correction: Array | None = None
     error: Array | None = None
-    steps: Steps | None = None
+    choices: Choices = NO_CHOICES
 
     @property
     def scaled(self) -> bool:
@@ -122,7 +123,7 @@ class RecordForward:
         """See `Forward`."""
         along = self._along(changes)
         if along.programme.stage is None:
-            means = means_of(along.ensemble, along.programme, along.grid)
+            means = means_along(along.ensemble, along.programme, along.grid)
             return means.force[along.points], means.force_error[along.points]
         force, zero = self._coarse(along), np.zeros(self.time.size)
         correction = zero if self.correction is None else self.correction
@@ -146,12 +147,12 @@ class RecordForward:
         along = self._along(changes)
         if along.programme.stage is None:
             return self
-        steps = steps_of(*along[:3], _COARSE_SIZE, _MOST_SOLVER_STEPS)
-        return replace(self, correction=None, error=None, steps=steps)
+        choices = choices_of(*along[:3], _COARSE_SIZE, _MOST_SOLVER_STEPS)
+        return replace(self, correction=None, error=None, choices=choices)
 
     def _coarse(self, along: _Along) -> Array:
         """The force by the steps of a search."""
-        force = force_of(*along[:3], _COARSE_SIZE, _MOST_SOLVER_STEPS, self.steps)
+        force = force_of(*along[:3], _COARSE_SIZE, _MOST_SOLVER_STEPS, self.choices)
         return force[along.points]
 
     def _along(self, changes: dict[str, float]) -> _Along:

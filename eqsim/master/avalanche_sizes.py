@@ -13,7 +13,7 @@ customers of a busy period of the queue M/G/1 with load rho and service d:
     P(s) = E[exp(-t) t^(s-1)]/s!,        t = rho (d_1 + ... + d_s)/<d>,        <s> = 1/(1 - rho) = 1 + N k_t/K.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special
@@ -24,8 +24,9 @@ from eqsim.laws.threshold import ThresholdLaw
 from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
-_OCTAVES = range(-54, 6)  # of -ln P(xi > .), beyond which nothing counts
-_MOST = 20_000
+# Octaves of -ln P(xi > .), beyond which nothing counts.
+_SERVICE_OCTAVES = np.arange(-54.0, 6.0)
+_LARGEST_SIZE = 20_000
 
 
 def shared_stiffness(law: ThresholdLaw, stiffness: StiffnessLaw = "uniform") -> float:
@@ -45,38 +46,21 @@ def size_law(
     law: ThresholdLaw, load: float, most: int, stiffness: StiffnessLaw = "uniform"
 ) -> Array:
     """P(1), ..., P(most), shape (most,), to 1e-10 (thresholds whose law has gaps:
-    1e-4).
-
-    Parameters
-    ----------
-    law : ThresholdLaw
-    load : float
-        rho, in (0, 1).
-    most : int
-        Largest size, up to 20000.
-    stiffness : str
-        "uniform", or "sqrt", under which strong contacts lose more force.
-
-    Raises
-    ------
-    InputError
-        For values out of range.
-    """
+    1e-4), at the `load` rho, in (0, 1); `most` up to 20000. Raises InputError for values
+    out of range."""
     require_number("load", load, above=0.0, most=1.0)
-    require_integer("most", most, 1, _MOST)
+    require_integer("most", most, 1, _LARGEST_SIZE)
     points = 1 << (4 * most + 60).bit_length()
     # P(s) = P(s offspring of s - 1 in all)/s (Dwass, 1969), by the characteristic
     # function of the offspring
-    offspring = np.fft.fft(
-        _offspring(_services(law, load, stiffness), points // 2), points
-    )
-    angle = np.exp(2j * np.pi * np.arange(points) / points)
-    found, power = np.empty(most), offspring.copy()
+    t, weight = _services(law, load, stiffness)
+    offspring = np.fft.fft(_offspring(t, weight, points // 2), points)
+    turned = offspring * np.exp(2j * np.pi * np.arange(points) / points)
+    sizes, power = np.empty(most), offspring
     for s in range(1, most + 1):
-        found[s - 1] = power.mean().real / s
-        power *= offspring
-        power *= angle
-    return np.maximum(found, 0.0)
+        sizes[s - 1] = power.mean().real / s
+        power = power * turned
+    return np.maximum(sizes, 0.0)
 
 
 class FewContacts(NamedTuple):
@@ -107,42 +91,30 @@ def missed_by_few(
     return FewContacts(1.0 / begins - 1.0 / (1.0 - load), single)
 
 
-class _Services(NamedTuple):
-    """Breaks t that follow from one directly, in the mean, and their probabilities,
-    arrays (nodes,)."""
-
-    t: Array
-    weight: Array
-
-
-def _services(law: ThresholdLaw, load: float, stiffness: StiffnessLaw) -> _Services:
-    """Nodes and weights of E[.] over the drop d of a break."""
-    xi: Any
-    weight: Any
+def _services(
+    law: ThresholdLaw, load: float, stiffness: StiffnessLaw
+) -> tuple[Array, Array]:
+    """Breaks t that follow from a break directly, in the mean, and their probabilities,
+    arrays (nodes,): nodes and weights of E[.] over the drop d of a break."""
     if law.steps.size:
         xi, weight = np.unique(law.steps, return_counts=True)
     else:
-        octave = 2.0 ** np.array(_OCTAVES)
+        octave = 2.0**_SERVICE_OCTAVES
         e, weight = map(np.ravel, gauss_legendre(12).between(octave, 2.0 * octave))
-        weight = weight * np.exp(-e)
-        xi = law.inverse_survival(e)
-    weight = weight / np.sum(weight)
-    xi = np.asarray(xi) / law.scale
+        xi, weight = np.asarray(law.inverse_survival(e)), weight * np.exp(-e)
+    share, xi = weight / np.sum(weight), xi / law.scale
     drop = xi * relative_stiffness(stiffness, xi, law.rms / law.scale)
-    return _Services(
-        load * drop / np.sum(weight * drop), weight
-    )  # the mean of the same nodes
+    # the mean of the same nodes
+    return load * drop / np.sum(share * drop), share
 
 
-def _offspring(services: _Services, most: int) -> Array:
+def _offspring(t: Array, weight: Array, most: int) -> Array:
     """P(0), ..., P(most - 1) of the number of breaks that follow from one directly,
     E[exp(-t) t^k/k!]."""
-    t, weight = services
-    found = np.zeros(most)
+    chance = np.zeros(most)
     for k in range(most):
-        found[k] = np.sum(
-            weight * np.exp(special.xlogy(k, t) - t - special.gammaln(k + 1.0))
-        )
-        if k > t.max() and found[k] < 1e-20:
+        log_chance = special.xlogy(k, t) - t - special.gammaln(k + 1.0)
+        chance[k] = np.sum(weight * np.exp(log_chance))
+        if k > t.max() and chance[k] < 1e-20:
             break
-    return found
+    return chance

@@ -17,23 +17,23 @@ transform of x E[k_i/k; xi > x]. Without delay D = 1 and Z = 0: no perturbation 
 amplified or damped by the contacts.
 
 Lengths are in units of the law's scale and time is displacement, V = 1. Means over
-births are sums over Gauss-Legendre nodes in the normal deviate of the threshold; two
-sets of panels, of different range, give the result and its error: where many thresholds
-are so much greater than most that decaying exponentials make their mean diverge, it is
-large.
+births are sums over Gauss-Legendre nodes in the normal deviate of the threshold. Two
+sets of panels, of different range, give the result and its error, which is large where
+thresholds far above most let the means of decaying exponentials diverge.
 """
 
 import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize, special
+from scipy import optimize
 
 from eqsim.errors import InputError
+from eqsim.estimate import Estimate
 from eqsim.laws.delay import Exponential, Fixed
+from eqsim.master.programme import cells_of_law
 from eqsim.master.quenched import different_steps, kappa_of
 from eqsim.model.reduced import Pull, Reduced
-from eqsim.numerics.quadrature import gauss_legendre, normal_exponent
 from eqsim.numerics.tables import Array
 
 METHOD = "characteristic equation"
@@ -53,58 +53,60 @@ FINE = Nodes(128, 8.2)
 COARSE = Nodes(64, 7.4)
 # Fewest panels, for scans.
 SCAN = Nodes(24, 8.2)
-_SERIES = np.array(
-    [(-1.0) ** k * (k - 1) / math.factorial(k) for k in range(2, 18)]
-)  # of (1 - exp(-z)(1 + z))/z^2
+# Coefficients of (1 - exp(-z)(1 + z))/z^2.
+_SERIES = np.array([(-1.0) ** k * (k - 1) / math.factorial(k) for k in range(2, 18)])
 # Terms that are summed at once, to bound memory.
-_AT_ONCE = 2**21
+_TERMS_AT_ONCE = 2**21
 # The step of the scan in phase over a cycle.
 _PHASE = 0.05
 # The first range of the scan in 1/threshold.
-_FIRST = 6.0
+_FIRST_RANGE = 6.0
 # Points of the scan at most.
-_MOST = 100_000
+_SCAN_POINTS = 100_000
 # Share of the largest Z below which no border is looked for.
 _FAINT = 1e-4
 # Rounds of Newton's method.
 _ROUNDS = 25
 # The relative step that ends it, after which a root is good to its square, or to
 # rounding.
-_SETTLED = 1e-8
+_LAST_STEP = 1e-8
 # How small the equation is at a root, relative to its terms.
-_FOUND = 1e-9
+_AT_ROOT = 1e-9
 # Decays faster than so many per cycle are not looked for.
-_LEFT = 4.0
+_FASTEST_DECAY = 4.0
+
+# An estimate of what there is none of.
+NO_VALUE = Estimate(None, None, 0)
 
 
-class Births(NamedTuple):
-    """Thresholds of newborn contacts, their shares and kappa, arrays (nodes,)."""
+class Mode(NamedTuple):
+    """A perturbation: rate of growth (1/time, negative: of decay), and period (time),
+    without a value if it does not oscillate; neither has a value if all decay within a
+    cycle."""
+
+    growth: Estimate
+    period: Estimate
+
+
+def mode(p: complex, error: float, least: float, reliable: bool = True) -> Mode:
+    """The perturbation exp(p t); frequencies below `least` are none."""
+    growth, period = Estimate(p.real, error, 0, None, reliable), None
+    frequency = abs(p.imag)
+    if frequency > least:
+        period = 2.0 * math.pi / frequency
+    missed = period and period * error / frequency
+    return Mode(growth, Estimate(period, missed, 0, None, reliable))
+
+
+class Loop(NamedTuple):
+    """The loop that answers to a perturbation: thresholds of newborn contacts, their
+    shares and kappa, arrays (nodes,); delays; the viscous force of a detached contact;
+    and the damping, also by contacts that are detached in the mean, and the mass of the
+    slider."""
 
     xi: Array
     share: Array
     kappa: Array
-
-
-def births_of(contacts: Reduced, nodes: Nodes) -> Births:
-    """Nodes that stand for the law; of a discrete one all its thresholds."""
-    if contacts.law.steps.size:
-        return Births(*different_steps(contacts))
-    # deviates at which the density of the law has jumps and kinks
-    kinks = special.ndtri(np.asarray(contacts.law.cdf(contacts.law.kinks), float))
-    even = np.linspace(-nodes.reach, nodes.reach, nodes.panels + 1)
-    edges = np.union1d(even, kinks[np.abs(kinks) < nodes.reach])
-    z, weights = map(np.ravel, gauss_legendre(8).between(edges[:-1], edges[1:]))
-    share = weights * np.exp(-0.5 * z**2)
-    xi = contacts.law.inverse_survival(normal_exponent(z)) / contacts.law.scale
-    return Births(xi, share / share.sum(), kappa_of(contacts, xi))
-
-
-class Loop(NamedTuple):
-    """The loop that answers to a perturbation: contacts, their delays, the viscous
-    force of a detached contact, and the damping and the mass of the slider; damping
-    also by contacts that are detached in the mean."""
-
-    births: Births
     delay: Fixed | Exponential
     drag: float
     beta: float
@@ -119,16 +121,15 @@ class Loop(NamedTuple):
     def response(self, p: Array) -> Array:
         """Z without its term in eta_l p (1 - pinned), which is in `damping`; p complex,
         not 0, shape (n,)."""
-        xi, share, kappa = self.births
-        if p.size * xi.size > _AT_ONCE and p.size > 1:
+        if p.size * self.xi.size > _TERMS_AT_ONCE and p.size > 1:
             return np.concatenate([self.response(p) for p in np.array_split(p, 2)])
-        z = p[:, None] * xi
+        z = p[:, None] * self.xi
         lost = -np.expm1(-z)
-        broken = lost @ share  # 1 - P
+        broken = lost @ self.share  # 1 - P
         far = np.abs(z) >= 0.5
         work = np.polynomial.polynomial.polyval(np.where(far, 0.0, z), _SERIES)
         work[far] = (lost[far] - z[far] * (1.0 - lost[far])) / z[far] ** 2
-        M = work @ (share * kappa * xi**2)
+        M = work @ (self.share * self.kappa * self.xi**2)
         away = self.delay.forgotten(p)  # 1 - D
         change = self.beta * away * (self.drag * broken - p * M)
         return np.asarray(change / (away + (1.0 - away) * broken))
@@ -140,21 +141,23 @@ class Loop(NamedTuple):
 
 
 def loop_of(contacts: Reduced, pull: Pull, nodes: Nodes) -> Loop:
-    """Raises InputError for identical contacts with a fixed delay."""
-    delay = contacts.delay
-    if (
-        isinstance(delay, Fixed)
-        and contacts.law.steps.size
-        and np.ptp(contacts.law.steps) == 0.0
-    ):
-        raise InputError(
-            "thresholds: identical contacts with a fixed delay stay in step; no steady state"
-        )
-    births = births_of(contacts, nodes)
-    C = float(births.share @ births.xi)
-    beta = 1.0 / (C + delay.mean)
+    """The loop with nodes that stand for the law, of a discrete law all its thresholds.
+    Raises InputError for identical contacts with a fixed delay."""
+    law, delay = contacts.law, contacts.delay
+    if law.steps.size:
+        xi, share, kappa = different_steps(contacts)
+        if xi.size == 1 and isinstance(delay, Fixed):
+            raise InputError(
+                "thresholds: identical contacts with a fixed delay stay in step; no steady state"
+            )
+    else:
+        even = np.linspace(-nodes.reach, nodes.reach, nodes.panels + 1)
+        _, inner, weights = cells_of_law(law, law.kinks, even, 8)
+        xi, share = inner.ravel(), weights.ravel()
+        kappa = kappa_of(contacts, xi)
+    beta = 1.0 / (float(share @ xi) + delay.mean)
     damping = pull.damping + contacts.drag * beta * delay.mean
-    return Loop(births, delay, contacts.drag, beta, damping, pull.mass)
+    return Loop(xi, share, kappa, delay, contacts.drag, beta, damping, pull.mass)
 
 
 class Border(NamedTuple):
@@ -173,20 +176,19 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
     whenever w tau is near a multiple of 2 pi Im Z changes its sign. The scan, with the
     nodes of `coarse`, ends where |Z| is below the greatest found, or too small for
     another root; of discrete thresholds without damping, whose |Z| does not fall, after
-    `_MOST` steps. Raises InputError if with a mass it does not end.
+    `_SCAN_POINTS` steps. Raises InputError if with a mass it does not end.
     """
     if loop.mass > 0.0 and loop.damping == 0.0 and isinstance(loop.delay, Fixed):
         return Border(math.inf, math.inf)
-    xi, share, _ = coarse.births
-    mean = float(share @ xi)
-    apart = max(float(share @ xi**2) - mean**2, 0.0)
+    mean = float(coarse.share @ coarse.xi)
+    apart = max(float(coarse.share @ coarse.xi**2) - mean**2, 0.0)
     apart += 0.0 if isinstance(loop.delay, Fixed) else loop.delay.mean**2
     # contacts in step lose 2 (pi width)^2 of a phase in a cycle, width that of its
     # length
     step = _PHASE * min(1.0, 20.0 * apart / loop.cycle**2 + 0.02) / loop.cycle
-    best, largest, low, high = Border(0.0, 0.0), 0.0, step, _FIRST / mean
+    best, largest, low, high = Border(0.0, 0.0), 0.0, step, _FIRST_RANGE / mean
     while True:
-        if high / step > _MOST:
+        if high / step > _SCAN_POINTS:
             if low == step:
                 raise InputError(
                     f"delay.time: is {loop.delay.mean / mean:.3g} thresholds long; the border is out of reach"
@@ -206,33 +208,35 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
         faint = loop.mass == 0.0 and size < max(best.stiffness, _FAINT * largest)
         if faint or loop.damping * high > 2.0 * size:
             return best
-        # |Z| falls as 1/w from here on
-        last = 0.0
+        low, last, high = float(w[-1]), high, 2.0 * high
         if loop.mass > 0.0 and loop.damping > 0.0:
-            last = math.sqrt(2.0 * size * high / loop.damping)
-        low, high = float(w[-1]), max(2.0 * high, last if last > _MOST * step else 0.0)
+            # |Z| falls as 1/w from here on
+            end = math.sqrt(2.0 * size * last / loop.damping)
+            high = max(high, end) if end > _SCAN_POINTS * step else high
 
 
 def _crossing(loop: Loop, low: float, high: float) -> Border:
     """Where a root crosses the imaginary axis between two frequencies."""
 
+    def balance(w: float) -> complex:
+        return complex(loop.balance(np.array([1j * w]), 0.0)[0])
+
     def phase(w: float) -> float:
-        return loop.damping * w + float(loop.response(np.array([1j * w]))[0].imag)
+        return balance(w).imag
 
     if phase(low) * phase(high) > 0.0:  # the coarser nodes differ
         return Border(0.0, 0.0)
     w = float(optimize.brentq(phase, low, high, xtol=1e-14, rtol=1e-13))
-    stiffness = loop.mass * w**2 - float(loop.response(np.array([1j * w]))[0].real)
-    return Border(stiffness, w)
+    return Border(-balance(w).real, w)
 
 
 def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
     """The root of the characteristic equation with the largest real part, imaginary
-    part >= 0; None if all decay faster than `_LEFT` per cycle. Newton's method from a
-    grid of beginnings, with the nodes of `coarse`; then by those of `loop`."""
-    mean = float(loop.births.share @ loop.births.xi)
-    stiff = float(loop.births.share @ loop.births.kappa)
-    left = -_LEFT / loop.cycle
+    part >= 0; None if all decay faster than `_FASTEST_DECAY` per cycle. By Newton's
+    method from a grid of beginnings, with the nodes of `coarse`, then those of `loop`."""
+    mean = float(loop.share @ loop.xi)
+    stiff = float(loop.share @ loop.kappa)
+    left = -_FASTEST_DECAY / loop.cycle
     if loop.delay.mean and not isinstance(loop.delay, Fixed):
         left = max(left, -0.9 / loop.delay.mean)
     scales = [loop.cycle, mean, loop.delay.mean, stiffness / (loop.beta * stiff)]
@@ -243,40 +247,31 @@ def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
     w = np.append(whole, np.geomspace(slow, fast, 24))
     real = np.append([0.6 * left, 0.15 * left, 0.0], np.geomspace(0.3 * slow, fast, 4))
     grid = (real[:, None] + 1j * w).ravel() + 1e-9 / loop.cycle
-    found = _newton(coarse, grid, stiffness)
-    found = found[(found.real > left) & (found.imag >= -1e-12)]
-    if not found.size:
-        return None
-    last = _newton(loop, found[np.argsort(-found.real)[:4]], stiffness)
-    return complex(last[np.argmax(last.real)]) if last.size else None
+    roots = roots_from(coarse, grid, stiffness)
+    roots = roots[(roots.real > left) & (roots.imag >= -1e-12)]
+    roots = roots_from(loop, roots[np.argsort(-roots.real)[:4]], stiffness)
+    return complex(roots[np.argmax(roots.real)]) if roots.size else None
 
 
-def nearest_root(loop: Loop, p: complex, stiffness: float) -> complex:
-    """The root that Newton's method reaches from p; p itself if none."""
-    found = _newton(loop, np.array([p]), stiffness)
-    return complex(found[0]) if found.size else p
-
-
-def _newton(loop: Loop, p: Array, stiffness: float) -> Array:
+def roots_from(loop: Loop, p: Array, stiffness: float) -> Array:
     """Roots that Newton's method reaches from p, shape (n,), those above the real axis."""
-    found = [p[:0]]
+    roots = [p[:0]]
     with np.errstate(all="ignore"):
         for _ in range(_ROUNDS):
+            if not p.size:
+                break
             h = 1e-6 * np.abs(p) + 1e-12
             both = loop.balance(np.concatenate((p, p + h)), stiffness)
             f, beyond = both.reshape(2, -1)
             step = f * h / (beyond - f)
             size, most = np.abs(step), 0.5 * (np.abs(p) + 0.1 / loop.cycle)
             after = p - step * np.minimum(1.0, most / np.maximum(size, 1e-300))
-            good = np.isfinite(after) & (after.real > -10.0 * _LEFT / loop.cycle)
-            still = size > _SETTLED * np.abs(p)
-            found.append(after[good & ~still])
+            good = np.isfinite(after)
+            good &= after.real > -10.0 * _FASTEST_DECAY / loop.cycle
+            still = size > _LAST_STEP * np.abs(p)
+            roots.append(after[good & ~still])
             p = after[good & still]
-            if not p.size:
-                break
-    p = np.concatenate(found)
-    if not p.size:
-        return p
+    p = np.concatenate(roots)
     scale = stiffness + np.abs(loop.mass * p**2) + np.abs(loop.damping * p)
-    p = p[np.abs(loop.balance(p, stiffness)) < _FOUND * scale]
+    p = p[np.abs(loop.balance(p, stiffness)) < _AT_ROOT * scale]
     return np.asarray(np.where(p.imag < 0.0, p.conj(), p))

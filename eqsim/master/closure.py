@@ -13,17 +13,16 @@ with friction = int x Q dx (Q6). Its stationary state is star1; D = 0 gives the
 transient of contacts that do not age.
 
 The pair that the paper prints, Q5a with dP_c/dX = D_v L P_c - P_T Q + P_ci Gamma (Q15),
-is not implemented, as it is no theory of transients: a contact that breaks at stretch x
-is removed as if its threshold were x. At T > 0, where it is not, P_T E_PT != P_c and
-the stationary state is not star1; at T = 0 some contacts of a fresh start outrun every
-threshold, and the force grows without end.
+removes a contact that breaks at stretch x as if its threshold were x. It is not
+implemented: at T > 0 P_T E_PT != P_c and its stationary state is not star1; at T = 0
+contacts of a fresh start outrun every threshold, and the force grows without end.
 
 L maps a gamma law onto gamma laws, so that after aging over a displacement y the
 unbroken law P_ci has the scale x_*(y)^2 = x_*f^2 - (x_*f^2 - x_*i^2) exp(-4 D y/(v
-x_*f^2)) (derived), and P_c is a mixture of ages, whose weights are exp(-int_0^X
-Gamma_c) at age X and Gamma_c(Y) exp(-int_Y^X Gamma_c) at age X - Y. All integrals over
-it are linear in the laws, which depend smoothly on ln x_*: a few dozen of them, at
-Chebyshev nodes, represent every age.
+x_*f^2)) (derived). P_c is a mixture of ages: exp(-int_0^X Gamma_c) at age X and
+Gamma_c(Y) exp(-int_Y^X Gamma_c) at age X - Y. All integrals over it are linear in the
+laws, which depend smoothly on ln x_*: a few dozen, at Chebyshev nodes, represent every
+age.
 """
 
 import dataclasses
@@ -33,9 +32,8 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from scipy import integrate, special
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import BarycentricInterpolator, CubicSpline
 
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.laws.aging import Aging, Flow
@@ -51,22 +49,22 @@ from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
 
 # Fewest and most cells of the coarser grid.
-_LEAST_CELLS = 500
-_MOST_CELLS = 2000
+FEWEST_CELLS = 500
+MOST_CELLS = 2000
 # A cell in units of the shortest mean life.
-_CELL = 0.015
+_CELL_PER_LIFE = 0.015
 # A cell in units of the displacement in which contacts age.
-_AGING = 0.1
+_CELL_PER_AGING = 0.1
 # Longest mean lives after which a fresh start is forgotten.
-_SETTLED = 30.0
+_LIVES_TO_REST = 30.0
 # Numbers of laws that are tried, until interpolation between them misses less than
 # `_INTERPOLATION`.
 _LAWS = (1, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300)
 _INTERPOLATION = 1e-11
 # Relative error of the pooled rate and its spline.
-_FLOOR = 1e-7
+_RATE_ERROR = 1e-7
 # Weight of an age that no longer matters.
-_FORGOTTEN = 1e-20
+_NEGLIGIBLE_WEIGHT = 1e-20
 # J below which a sum of shares of both signs is all rounding.
 _LEAST_J = 1e-13
 
@@ -145,11 +143,8 @@ def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
         raise InputError(
             f'newborn.law = "{ensemble.newborn.law}": the closure is that of contacts born unstretched'
         )
-    if (
-        ensemble.stiffness_law != "uniform"
-        or ensemble.delay.time > 0
-        or drive.start != "fresh"
-    ):
+    plain = ensemble.stiffness_law == "uniform" and ensemble.delay.time == 0
+    if not plain or drive.start != "fresh":
         raise InputError(
             'the closure needs contacts.stiffness_law = "uniform", no delay, and drive.start = "fresh"'
         )
@@ -157,38 +152,30 @@ def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
     reach = drive.over(ensemble) / unit
     require_number("distance / x_star", reach, least=1e-6, most=1e6)
     # the scale of the unbroken law changes as thresholds that flow do
-    flow = Flow(
-        (aging.x_star_final / unit) ** 2 if aging.active else 1.0,
-        aging.alpha(unit, drive.velocity),
-    )
-    pool = _Pool(
-        law.n,
-        flow,
-        reach,
-        reduced(dataclasses.replace(ensemble, aging=Aging()), drive.velocity).barrier,
-    )
+    final2 = (aging.x_star_final / unit) ** 2 if aging.active else 1.0
+    flow = Flow(final2, aging.alpha(unit, drive.velocity))
+    unaged = reduced(dataclasses.replace(ensemble, aging=Aging()), drive.velocity)
+    pool = AgedLaws(law.n, flow, reach, unaged.barrier)
 
     shortest, longest = pool.lives()
-    end = min(reach, _SETTLED * longest)
-    wanted = end * max(
-        1.0 / (_CELL * shortest), flow.alpha / _AGING if flow.alpha < math.inf else 0.0
+    end = min(reach, _LIVES_TO_REST * longest)
+    by_aging = flow.alpha / _CELL_PER_AGING if math.isfinite(flow.alpha) else 0.0
+    wanted = end * max(1.0 / (_CELL_PER_LIFE * shortest), by_aging)
+    cells = int(min(max(wanted, FEWEST_CELLS), MOST_CELLS))
+    coarse, better = (
+        march_closure(pool, end / fine, fine) for fine in (cells, 2 * cells)
     )
-    cells = int(min(max(wanted, _LEAST_CELLS), _MOST_CELLS))
-    solved = [_march(pool, end / fine, fine) for fine in (cells, 2 * cells)]
-    # both schemes are of second order; a grid too coarse to show it has the error of
-    # its finer member
-    share = 1 / 3 if wanted < 2 * cells else 1.0
-    X, nodes = np.linspace(0.0, reach, points), np.linspace(0.0, end, cells + 1)
-    values: list[Array] = []
-    errors: list[Array] = []
-    for coarse, better in zip(*solved, strict=True):
-        best = extrapolated(coarse, better[::2])
-        missed = share * largest_nearby(better[::2] - coarse, cells // 20)
-        missed += _FLOOR * np.abs(best).max()
-        # what has settled stays as it is
-        held = np.ptp(best[-cells // 10 :]) * (end < X)
-        values.append(CubicSpline(nodes, best)(np.minimum(X, end)))
-        errors.append(np.interp(X, nodes, missed) + held)
+    # the scheme is of second order; a grid too coarse to show it has the error of its
+    # finer member
+    missed = largest_nearby(better[:, ::2] - coarse, cells // 20)
+    missed *= 1 / 3 if wanted < 2 * cells else 1.0
+    best = extrapolated(coarse, better[:, ::2])
+    missed += _RATE_ERROR * np.abs(best).max(axis=1, keepdims=True)
+    X, edges = np.linspace(0.0, reach, points), np.linspace(0.0, end, cells + 1)
+    values = CubicSpline(edges, best, axis=1)(np.minimum(X, end))
+    errors = np.array([np.interp(X, edges, error) for error in missed])
+    # what has settled stays as it is
+    errors += np.ptp(best[:, -cells // 10 :], axis=1, keepdims=True) * (end < X)
     units = np.array([[unit], [1.0 / unit], [unit]])
     return Closure(X * unit, *(units * values), *(units * errors))
 
@@ -201,183 +188,139 @@ class _Tables(NamedTuple):
     least: Array
 
 
-class _Pool:
+class AgedLaws:
     """The laws that stand for all ages up to `reach`: Gamma(n, x_star[k]), and how ages
     share in them."""
 
     def __init__(self, n: float, aging: Flow, reach: float, barrier: Barrier) -> None:
-        self.n, self.aging, self.barrier = n, aging, barrier
-        self._low, self._high = np.sort(self._log_square(np.array([0.0, reach])))
-        for laws in _LAWS:
-            self._t = np.cos(math.pi * (np.arange(laws) + 0.5) / laws)
-            self.x_star = np.exp(
-                0.25 * (self._low + self._high + (self._high - self._low) * self._t)
-            )
-            if self._high == self._low or (
-                laws > 1 and self._missed() < _INTERPOLATION
-            ):
+        self.aging, self.barrier = aging, barrier
+        low, high = np.sort(self._log_square(np.array([0.0, reach])))
+        for count in _LAWS:
+            angle = math.pi * (np.arange(count) + 0.5) / count
+            nodes = 0.5 * (low + high + (high - low) * np.cos(angle))
+            # Chebyshev nodes of the first kind (Berrut and Trefethen, 2004)
+            weights = np.sin(angle) * (-1.0) ** np.arange(count)
+            self._shares = BarycentricInterpolator(nodes, np.eye(count), wi=weights)
+            self.laws = [Gamma(n, scale) for scale in np.exp(0.5 * nodes)]
+            probe = np.linspace(low, high, 3 * count + 1)
+            if high == low or (count > 1 and self._missed(probe) < _INTERPOLATION):
                 break
         else:
             raise InputError(
                 f"x_star_final = {aging.final:g} x_star_initial: too far from it for thresholds of n = {n:g}"
             )
-        self._rates = (
-            [self._rate(Gamma(n, scale)) for scale in self.x_star]
-            if barrier.thermal
-            else []
-        )
+        self.widest = Gamma(n, math.exp(0.5 * high))
         # beyond, nothing survives
-        self.top = float(Gamma(n, math.exp(0.5 * self._high)).inverse_survival(45.0))
+        self.top = float(self.widest.inverse_survival(45.0))
+        self._rates = [_pooled_rate_of(law, barrier) for law in self.laws]
 
     def _log_square(self, age: Array) -> Array:
         """ln x_*^2 after aging over a displacement."""
-        spent = (
-            self.aging.alpha * age
-            if math.isfinite(self.aging.alpha)
-            else np.full_like(age, math.inf)
-        )
+        alpha = self.aging.alpha
+        spent = alpha * age if math.isfinite(alpha) else np.full_like(age, math.inf)
         return np.asarray(np.log(scale2(self.aging.final2, spent)))
 
     def shares(self, age: Array) -> Array:
         """Weights, shape (..., laws), by which the laws represent the unbroken law at
         any age."""
-        return self._shares(self._log_square(age))
+        return np.asarray(self._shares(self._log_square(age)))
 
-    def _shares(self, log_square: Array) -> Array:
-        """Chebyshev interpolation, to `_INTERPOLATION`."""
-        laws = self._t.size
-        if laws == 1:
-            return np.ones((*log_square.shape, 1))
-        t = (2 * log_square - self._low - self._high) / (self._high - self._low)
-        back = chebyshev.chebvander(self._t, laws - 1) * (2.0 / laws)
-        back[:, 0] *= 0.5
-        return np.asarray(chebyshev.chebvander(t, laws - 1) @ back.T)
+    def _missed(self, probe: Array) -> float:
+        """Largest error of J_c and x P_c at scales between the nodes."""
+        between = [Gamma(self.laws[0].n, scale) for scale in np.exp(0.5 * probe)]
+        e, every = np.geomspace(1e-3, 10, 7), max(1, len(between) // 12)
+        x = np.ravel([law.inverse_survival(e) for law in between[::every]])
 
-    def _missed(self) -> float:
-        """Largest error of J_c and x P_c between the nodes."""
-        probe = np.linspace(self._low, self._high, 3 * self._t.size + 1)
-        scales = np.exp(0.5 * probe)
-        x = np.outer(
-            scales[:: max(1, scales.size // 12)],
-            Gamma(self.n).inverse_survival(np.geomspace(1e-3, 10, 7)),
-        ).ravel()
-        worst = 0.0
-        for name, power in (("sf", 0), ("pdf", 1)):
-            at = [
-                np.array([getattr(Gamma(self.n, s), name)(x) * x**power for s in of])
-                for of in (self.x_star, scales)
-            ]
-            worst = max(worst, float(np.abs(self._shares(probe) @ at[0] - at[1]).max()))
-        return worst
+        def densities(laws: list[Gamma]) -> Array:
+            return np.array([np.append(law.sf(x), x * law.pdf(x)) for law in laws])
+
+        interpolated = self._shares(probe) @ densities(self.laws)
+        return float(np.abs(interpolated - densities(between)).max())
 
     def lives(self) -> tuple[float, float]:
         """Mean lives of the shortest and the longest-lived law: scales only, to 1 %."""
         x = np.append(0.0, np.geomspace(1e-12 * self.top, self.top, 2000))
         J, _, h = self.tables(x).laws
         hazard = integrate.cumulative_trapezoid(h, x, axis=0, initial=0.0)
-        lives = integrate.trapezoid(
-            J * np.exp(-math.exp(self.barrier.log_w) * hazard), x, axis=0
-        )
+        survival = J * np.exp(-math.exp(self.barrier.log_w) * hazard)
+        lives = integrate.trapezoid(survival, x, axis=0)
         return float(lives.min()), float(lives.max())
 
     def tables(self, x: Array) -> _Tables:
         """The laws at stretches x, ascending from 0."""
-        laws = [Gamma(self.n, s) for s in self.x_star]
-        widest = Gamma(self.n, math.exp(0.5 * self._high))
-        rates = [rate(x) for rate in self._rates] or [np.zeros(x.size)] * len(laws)
-        found = np.stack(
-            ([law.sf(x) for law in laws], [law.pdf(x) for law in laws], rates)
-        ).swapaxes(1, 2)
+        rates = [rate(x) for rate in self._rates]
+        above = [law.sf(x) for law in self.laws]
+        density = [law.pdf(x) for law in self.laws]
+        laws: Array = np.array((above, density, rates)).swapaxes(1, 2)
+        least = self.widest.pdf(x) / self.widest.sf(x)
         # subnormal numbers would take most of the time
-        return _Tables(
-            np.where(found > 1e-250, found, 0.0), widest.pdf(x) / widest.sf(x)
-        )
-
-    def _rate(self, law: Gamma) -> Callable[[Array], Array]:
-        """Pooled rate h of one law (temper11, temper12) as a spline in logarithms."""
-        low, high = 1e-6, float(law.inverse_survival(60.0)) / law.scale
-        log_y = np.linspace(math.log(low), math.log(high), 600)
-        h = pooled_rate(
-            law,
-            "uniform",
-            type(self.barrier),
-            self.barrier.b * law.scale**2,
-            np.exp(log_y),
-        )
-        spline = CubicSpline(log_y, np.log(np.maximum(h, 1e-300)))
-
-        def rate(x: Array) -> Array:
-            y = x / law.scale
-            return np.where(
-                y < high, np.exp(spline(np.log(np.clip(y, low, high)))), 0.0
-            )
-
-        return rate
+        return _Tables(np.where(laws > 1e-250, laws, 0.0), least)
 
     def breaking(self, mixture: Array, least: Array) -> Array:
         """P_T at ascending stretches, at each of which a mixture has J_c, P_c and h,
         shape (3, x)."""
         J, P, h = mixture
-        mechanical = np.where(
-            J > _LEAST_J, np.maximum(P / np.maximum(J, _LEAST_J), least), least
-        )
-        return np.asarray(
-            mechanical + math.exp(self.barrier.log_w) * np.maximum(h, 0.0)
-        )
+        hazard = np.where(J > _LEAST_J, P, 0.0) / np.maximum(J, _LEAST_J)
+        thermal = math.exp(self.barrier.log_w) * np.maximum(h, 0.0)
+        return np.asarray(np.maximum(hazard, least) + thermal)
+
+    def aged(self, h: float, cells: int) -> Array:
+        """Shares of contacts whose ages are spread evenly over each cell h, shape
+        (cells, laws)."""
+        rule, edges = gauss_legendre(3), h * np.arange(cells + 1)
+        nodes, weights = rule.between(edges[:-1], edges[1:])
+        aged = np.einsum("cq,cql->cl", weights / h, self.shares(nodes))
+        # the youngest may age within a fraction of a cell
+        pieces = h * 2.0 ** np.append(-np.inf, np.arange(-20.0, 1.0))
+        nodes, weights = rule.between(pieces[:-1], pieces[1:])
+        aged[0] = np.einsum("pq,pql->l", weights / h, self.shares(nodes))
+        return np.asarray(aged)
 
 
-class _Means(NamedTuple):
-    """At the edges of the cells: force, breaks per unit displacement and mean
-    threshold."""
+def _pooled_rate_of(law: Gamma, barrier: Barrier) -> Callable[[Array], Array]:
+    """Pooled rate h of a law (temper11, temper12) as a spline in logarithms."""
+    if not barrier.thermal:
+        return np.zeros_like
+    low, high = 1e-6, float(law.inverse_survival(60.0)) / law.scale
+    log_y = np.linspace(math.log(low), math.log(high), 600)
+    b = barrier.b * law.scale**2
+    h = pooled_rate(law, "uniform", type(barrier), b, np.exp(log_y))
+    spline = CubicSpline(log_y, np.log(np.maximum(h, 1e-300)))
 
-    force: Array
-    breaks: Array
-    mean_threshold: Array
+    def rate(x: Array) -> Array:
+        y = x / law.scale
+        return np.where(y < high, np.exp(spline(np.log(np.clip(y, low, high)))), 0.0)
 
-
-def _aged(pool: _Pool, h: float, cells: int) -> Array:
-    """Shares of contacts whose ages are spread evenly over each cell, shape (cells,
-    laws)."""
-    rule, edges = gauss_legendre(3), h * np.arange(cells + 1)
-    nodes, weights = rule.between(edges[:-1], edges[1:])
-    aged = np.einsum("cq,cql->cl", weights / h, pool.shares(nodes))
-    # the youngest may age within a fraction of a cell
-    parts = h * 2.0 ** np.append(-np.inf, np.arange(-20.0, 1.0))
-    nodes, weights = rule.between(parts[:-1], parts[1:])
-    aged[0] = np.einsum("pq,pql->l", weights / h, pool.shares(nodes))
-    return np.asarray(aged)
+    return rate
 
 
-def _march(pool: _Pool, h: float, cells: int) -> _Means:
-    """The closure on a uniform grid of stretches, displacements and ages, second order
-    in the cell h.
+def march_closure(pool: AgedLaws, h: float, cells: int) -> Array:
+    """Force, breaks per unit displacement and mean threshold, shape (3, cells + 1), on a
+    uniform grid of stretches, displacements and ages, of second order in the cell h.
 
     ln E[j] is the survival to x_j of a contact born at X_i - x_j, so that E[i] is that
     of the fresh ones. Births are spread evenly over each cell; E is taken as
-    exponential within one, which is exact however short lives are, if it is the young
-    that break. Births of the last cell follow from the count of contacts, which is
-    conserved.
+    exponential within a cell, which is exact however short lives are, if it is the
+    young that break. Births of the last cell follow from the count of contacts, which
+    is conserved.
     """
     x = h * np.arange(min(cells, math.ceil(pool.top / h)) + 1)
     table, edges = pool.tables(x), h * np.arange(cells + 1)
-    fresh, aged = pool.shares(edges), _aged(pool, h, cells)
-    scales = pool.x_star * special.poch(pool.n + 1.0, 0.5)
+    fresh, aged = pool.shares(edges), pool.aged(h, cells)
+    scales = np.array([law.mean for law in pool.laws])
     young = table.laws @ aged[0]
 
     force, births, threshold = np.zeros(cells + 1), np.zeros(cells), np.zeros(cells + 1)
     threshold[0] = scales @ fresh[0]
     unbroken, weight, first = 1.0, np.zeros(cells), 0
-    log_E, P_T = (
-        np.zeros(1),
-        pool.breaking(table.laws[:, :1] @ fresh[0], table.least[:1]),
-    )
+    log_E = np.zeros(1)
+    P_T = pool.breaking(table.laws[:, :1] @ fresh[0], table.least[:1])
     broken = 0.0  # Gamma_c h of the last cell
     for i in range(1, cells + 1):
         top = min(i, x.size - 1)
         # the pool after aging, before the breaks of this cell
-        share = (
-            unbroken * fresh[i] + weight[first : i - 1] @ aged[i - 1 - first : 0 : -1]
-        )
+        share = weight[first : i - 1] @ aged[i - 1 - first : 0 : -1]
+        share += unbroken * fresh[i]
         old, new = table.laws[:, : top + 1] @ share, young[:, : top + 1]
         least, earlier = table.least[: top + 1], births[i - top : i - 1][::-1]
         # the pool at the end of the cell needs its breaks
@@ -385,7 +328,13 @@ def _march(pool: _Pool, h: float, cells: int) -> _Means:
             stay = math.exp(-broken)
             now = pool.breaking(stay * old + (1.0 - stay) * new, least)
             log_next = np.append(0.0, log_E[:top] - 0.5 * h * (P_T[:top] + now[1:]))
-            mean, moment = _in_cells(log_next)
+            # int E dt and int t E dt over each cell, 0 < t < 1
+            E, z = np.exp(log_next[:-1]), log_next[:-1] - log_next[1:]
+            mean, small = special.exprel(-z), np.abs(z) < 1e-3
+            safe = np.where(small, 1.0, z)
+            rest = (mean - np.exp(-safe)) / safe
+            moment = np.where(small, 0.5 - z / 3 + z**2 / 8, rest)
+            mean, moment = E * mean, E * moment
             atom = math.exp(log_next[i]) if i < x.size else 0.0
             births[i - 1] = (1.0 - atom - h * (earlier @ mean[1:])) / (h * mean[0])
             broken = h * births[i - 1]
@@ -397,19 +346,7 @@ def _march(pool: _Pool, h: float, cells: int) -> _Means:
         unbroken *= stay
         weight[first : i - 1] *= stay
         weight[i - 1] = 1.0 - stay
-        if weight[first] < _FORGOTTEN:
+        if weight[first] < _NEGLIGIBLE_WEIGHT:
             first += 1
     count = CubicSpline(edges, h * np.append(0.0, np.cumsum(births)))
-    return _Means(force, count.derivative()(edges), threshold)
-
-
-def _in_cells(log_E: Array) -> tuple[Array, Array]:
-    """int E dt and int t E dt over each cell, 0 < t < 1, of E that is exponential
-    between its values at the edges."""
-    z = log_E[:-1] - log_E[1:]
-    small = np.abs(z) < 1e-3
-    safe = np.where(small, 1.0, z)
-    mean = np.where(small, 1 - z / 2 + z**2 / 6, -np.expm1(-safe) / safe)
-    moment = np.where(small, 0.5 - z / 3 + z**2 / 8, (mean - np.exp(-safe)) / safe)
-    E = np.exp(log_E[:-1])
-    return E * mean, E * moment
+    return np.array([force, count(edges, 1), threshold])

@@ -3,7 +3,7 @@
 
 A cohort is the births of a step, spread evenly over it in time and displacement, or
 several of these joined. There are two kinds of contacts. Those that heat does not
-break, or all at the same rate (annealed), are `Pooled`, and stand here: what a cohort
+break, or all at the same rate (annealed), are `PooledContacts`, and stand here: what a cohort
 has undergone is the greatest |x|/g so far, of which the law of thresholds says how many
 it has broken mechanically, and a thermal survival. `master.fronts` has the others. What
 is the same of both is here: starts, births, which cohorts are joined, and sums.
@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from eqsim.laws.aging.base import growth
 from eqsim.laws.delay import Waits
 from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.tables import Array, search
@@ -22,10 +23,10 @@ from eqsim.numerics.vector_math import exp, exp_less_one
 # Cohorts with a smaller pinned share are dropped.
 NEGLIGIBLE_SHARE = 1e-15
 # Share of the whole time between births of about the same age.
-_AT_ONCE = 1e-11
+_SAME_TIME = 1e-11
 
 
-class Pool(NamedTuple):
+class LawTables(NamedTuple):
     """At thresholds y, shape (knots,): E[(k_i/k)^p; xi > y] and its integral from 0, p
     = 0, 1, 2, shape (3, knots); and ln of the rate that all contacts share at stretch
     y."""
@@ -37,21 +38,19 @@ class Pool(NamedTuple):
 
 
 class Growth(NamedTuple):
-    """The factor by which thresholds have grown, at ages in equal ratios from `first`
-    on; `newborn` at age 0."""
+    """How thresholds grow with age: the law of aging, whether they do, and whether the
+    stiffness follows them."""
 
-    first: float
-    per_ratio: float
-    newborn: float
-    values: Array
-    varies: bool
+    law: Any
+    ages: bool
+    stiffens: bool
 
 
-class Pooled(NamedTuple):
+class PooledContacts(NamedTuple):
     """Contacts for kernels that all have the same hazard: thresholds, their growth,
     delays, and no `nodes`, which are thresholds that have hazards of their own."""
 
-    pool: Pool
+    tables: LawTables
     growth: Growth
     delay: Waits
     nodes: Array
@@ -63,52 +62,33 @@ KEPT = 0
 DROPPED = 1
 JOINED = 2
 
+# What is decided in a step: when it ends, where in `Choices.fates` those of its cohorts
+# begin, in how many trials the force was balanced, whether the slider moved in no time,
+# and how often the longest displacement was halved then.
+DECISION = np.dtype("f8, i8, i8, i8, ?", align=True)
+DECISION.names = ("t", "first", "trials", "halvings", "instant")
+
 
 class Choices(NamedTuple):
     """Decisions of a solve, so that another one may repeat them, which makes it a
-    smooth function of parameters.
+    smooth function of parameters: of each step, an array (edges + 1,) of DECISION; what
+    becomes of cohorts; and whether to repeat them. Otherwise they are noted, if there is
+    room."""
 
-    Attributes
-    ----------
-    first : ndarray, shape (edges + 1,)
-        Where in `fates` those of the cohorts of a step begin.
-    fates : ndarray
-        KEPT, DROPPED or JOINED.
-    trials : ndarray, shape (edges,)
-        In how many trials the force was balanced.
-    instant : ndarray, shape (edges,)
-        Whether the slider moved in no time.
-    halvings : ndarray, shape (edges,)
-        How often the longest displacement was halved then.
-    given : bool
-        Whether these choices are to be repeated. Otherwise they are noted, if there is
-        room.
-    """
-
-    first: Array
+    steps: Array
     fates: Array
-    trials: Array
-    instant: Array
-    halvings: Array
     given: bool
 
 
 def unmade_choices(edges: int, fates: int) -> Choices:
     """Room for the choices of a solve."""
-    return Choices(
-        first=np.zeros(edges + 1, np.int64),
-        fates=np.zeros(fates, np.int8),
-        trials=np.zeros(edges, np.int64),
-        instant=np.zeros(edges, np.bool_),
-        halvings=np.zeros(edges, np.int64),
-        given=False,
-    )
+    return Choices(np.zeros(edges + 1, DECISION), np.zeros(fates, np.int8), False)
 
 
 NO_CHOICES = unmade_choices(0, 0)
 
 
-class Path(NamedTuple):
+class CohortPath(NamedTuple):
     """Times and displacements of the edges of steps, arrays (edges,); how wide in X,
     and in time per age, cohorts may become; how many were born before, at a `velocity`,
     or none of a fresh start; what is decided on the way; and a flag (1,) that ends the
@@ -134,7 +114,7 @@ class History(NamedTuple):
     breaks: Array
 
 
-class Step(NamedTuple):
+class PathStep(NamedTuple):
     """Time and displacement at the beginning and the end of a step."""
 
     t0: float
@@ -143,15 +123,14 @@ class Step(NamedTuple):
     X1: float
 
 
-# A row of a structured array, whose fields are attributes in kernels.
-Row = Any
-
-# A cohort. `first`, `last` and `mean` are those of its first birth, of its last one,
-# and of the mean over its contacts. `weakest` is the greatest |x|/g so far, below which
-# no threshold at birth is left. `births` are those of the cohort, less what heat has
-# broken of pooled contacts, whatever their threshold. `pinned` is the share of all
-# contacts that is pinned and of this cohort, and `stiffness` and `stiffness2` are
-# E[k_i/k; pinned] and E[(k_i/k)^2; pinned].
+# A row of an array of COHORT, whose fields are attributes in kernels. `first`, `last`
+# and `mean` are those of its first birth, of its last one, and of the mean over its
+# contacts. `weakest` is the greatest |x|/g so far, below which no threshold at birth is
+# left. `births` are those of the cohort, less what heat has broken of pooled contacts,
+# whatever their threshold. `pinned` is the share of all contacts that is pinned and of
+# this cohort, and `stiffness` and `stiffness2` are E[k_i/k; pinned] and E[(k_i/k)^2;
+# pinned].
+Cohort = Any
 _FIELDS = """X_first X_last X_mean t_first t_last t_mean weakest_first weakest_last
     births pinned stiffness stiffness2"""
 COHORT = np.dtype([(field, np.float64) for field in _FIELDS.split()], align=True)
@@ -170,35 +149,35 @@ class Scratch(NamedTuple):
     before: Array
 
 
-class Population(NamedTuple):
+class Cohorts(NamedTuple):
     """All cohorts, an array (rows,) of COHORT; the integrated hazard z of nodes at their
     first births, shape (rows, nodes); and the rows in use, from the oldest cohort on,
     and then the others."""
 
-    cohorts: Array
+    rows: Array
     z: Array
     order: Array
     scratch: Scratch
 
 
 @routine
-def empty(nodes: int, rows: int) -> Population:
-    """A population of none, with so many rows."""
+def empty(nodes: int, rows: int) -> Cohorts:
+    """No cohorts, with room for so many."""
     order, lines = np.zeros(rows, np.int64), np.zeros((6, nodes))
     for i in range(rows):
         order[i] = i
     scratch = Scratch(lines[0], lines[1], lines[2], lines[3], lines[4], lines[5])
-    return Population(np.zeros(rows, COHORT), np.zeros((rows, nodes)), order, scratch)
+    return Cohorts(np.zeros(rows, COHORT), np.zeros((rows, nodes)), order, scratch)
 
 
 @routine
-def with_room(population: Population, rows: int) -> Population:
+def with_room(cohorts: Cohorts, rows: int) -> Cohorts:
     """A copy that has so many rows."""
-    larger = empty(population.z.shape[1], rows)
-    for i in range(population.order.size):
-        larger.order[i] = population.order[i]
-        larger.cohorts[i] = population.cohorts[i]
-        copy(population.z[i], larger.z[i])
+    larger = empty(cohorts.z.shape[1], rows)
+    for i in range(cohorts.order.size):
+        larger.order[i] = cohorts.order[i]
+        larger.rows[i] = cohorts.rows[i]
+        copy(cohorts.z[i], larger.z[i])
     return larger
 
 
@@ -210,38 +189,23 @@ def copy(values: Array, to: Array) -> None:
 
 
 @routine(inline=True)
-def grown_by(growth: Growth, age: float) -> float:
-    """The factor by which thresholds have grown at an age."""
-    values = growth.values
-    if values.size == 0:
-        return 1.0
-    if age <= growth.first:
-        share = max(age, 0.0) / growth.first
-        return growth.newborn + (values[0] - growth.newborn) * share
-    place = math.log(age / growth.first) * growth.per_ratio
-    place = min(place, values.size - 1.000001)
-    i = int(place)
-    return values[i] + (place - i) * (values[i + 1] - values[i])
-
-
-@routine(inline=True)
-def _up_to(pool: Pool, power: int, y: float) -> tuple[float, float]:
+def _integral_to(tables: LawTables, power: int, y: float) -> tuple[float, float]:
     """E[(k_i/k)^p; xi > y], and its integral from 0 to y."""
-    i = search(pool.y, y, True) - 1
-    if i >= pool.y.size - 1:
-        return 0.0, pool.total[power, pool.y.size - 1]
-    u, left = y - pool.y[i], pool.above[power, i]
-    slope = (pool.above[power, i + 1] - left) / (pool.y[i + 1] - pool.y[i])
-    return left + slope * u, pool.total[power, i] + u * (left + 0.5 * slope * u)
+    i = search(tables.y, y, True) - 1
+    if i >= tables.y.size - 1:
+        return 0.0, tables.total[power, tables.y.size - 1]
+    u, left = y - tables.y[i], tables.above[power, i]
+    slope = (tables.above[power, i + 1] - left) / (tables.y[i + 1] - tables.y[i])
+    return left + slope * u, tables.total[power, i] + u * (left + 0.5 * slope * u)
 
 
 @routine
-def _pooled(pool: Pool, power: int, low: float, high: float) -> float:
+def _mean_above(tables: LawTables, power: int, low: float, high: float) -> float:
     """E[(k_i/k)^p; xi > y] in the mean over low < y < high."""
-    above, top = _up_to(pool, power, high)
+    above, total = _integral_to(tables, power, high)
     if high - low <= 1e-9 * high:
         return above
-    return (top - _up_to(pool, power, low)[1]) / (high - low)
+    return (total - _integral_to(tables, power, low)[1]) / (high - low)
 
 
 @routine(inline=True)
@@ -252,29 +216,30 @@ def mean_exponential(low: float, high: float) -> float:
 
 
 @routine
-def _log_pooled_rate(pool: Pool, x: float) -> float:
-    i = min(search(pool.y, x, True), pool.y.size - 1) - 1  # y begins with 0
-    width = pool.y[i + 1] - pool.y[i]
-    u = min(max((x - pool.y[i]) / width, 0.0), 1.0) if width > 0.0 else 0.0
-    return pool.log_rate[i] + u * (pool.log_rate[i + 1] - pool.log_rate[i])
+def _log_pooled_rate(tables: LawTables, x: float) -> float:
+    i = min(search(tables.y, x, True), tables.y.size - 1) - 1  # y begins with 0
+    width = tables.y[i + 1] - tables.y[i]
+    u = min(max((x - tables.y[i]) / width, 0.0), 1.0) if width > 0.0 else 0.0
+    return tables.log_rate[i] + u * (tables.log_rate[i + 1] - tables.log_rate[i])
 
 
 @routine
-def _hazard(pool: Pool, dt: float, x0: float, x1: float) -> float:
+def _hazard_in_step(tables: LawTables, dt: float, x0: float, x1: float) -> float:
     """Integrated hazard in a step between two stretches."""
-    low, high = -_log_pooled_rate(pool, x0), -_log_pooled_rate(pool, x1)
+    low, high = -_log_pooled_rate(tables, x0), -_log_pooled_rate(tables, x1)
     return dt * mean_exponential(low, high) if min(low, high) < 700.0 else 0.0
 
 
 @routine
-def _weigh(contacts: Pooled, cohort: Row, age: float) -> None:
+def _find_pinned(contacts: PooledContacts, cohort: Cohort, age: float) -> None:
     """Find what of a cohort is pinned."""
-    g = grown_by(contacts.growth, age) if contacts.growth.varies else 1.0
+    g = growth(contacts.growth.law, age) if contacts.growth.stiffens else 1.0
     low = min(cohort.weakest_first, cohort.weakest_last)
     high = max(cohort.weakest_first, cohort.weakest_last)
-    cohort.pinned = cohort.births * _pooled(contacts.pool, 0, low, high)
-    cohort.stiffness = cohort.births * _pooled(contacts.pool, 1, low, high) * g
-    cohort.stiffness2 = cohort.births * _pooled(contacts.pool, 2, low, high) * g * g
+    births, tables = cohort.births, contacts.tables
+    cohort.pinned = births * _mean_above(tables, 0, low, high)
+    cohort.stiffness = births * _mean_above(tables, 1, low, high) * g
+    cohort.stiffness2 = births * _mean_above(tables, 2, low, high) * g * g
 
 
 class Ages(NamedTuple):
@@ -298,46 +263,45 @@ def ages_of_survivors(hazard: float) -> Ages:
     return Ages(mean_exponential(0.0, hazard), age, age2)
 
 
-# What contacts of a kind have of their own, who are the first argument: here of pooled
-# ones.
+# What the kinds of contacts, the first argument, do differently: here pooled ones.
 
 
 @by_law(makes_arrays=True)
-def bear(contacts: Any, population: Population, row: int, step: Step) -> None:
+def bear(contacts: Any, cohorts: Cohorts, row: int, step: PathStep) -> None:
     """Treat the births of a step, of one contact in all, as one birth at its end;
     `_born` has begun the cohort."""
-    cohort, dt = population.cohorts[row], step.t1 - step.t0
-    hazard = _hazard(contacts.pool, dt, 0.0, abs(step.X1 - step.X0))
+    cohort, dt = cohorts.rows[row], step.t1 - step.t0
+    hazard = _hazard_in_step(contacts.tables, dt, 0.0, abs(step.X1 - step.X0))
     left = ages_of_survivors(min(hazard, 700.0))
     cohort.births = left.share
-    _weigh(contacts, cohort, 0.5 * dt)
+    _find_pinned(contacts, cohort, 0.5 * dt)
     # as if all were at the middle, and spread evenly
     cohort.stiffness *= 2.0 * left.age
     cohort.stiffness2 *= 3.0 * left.age2
 
 
 @by_law(makes_arrays=True)
-def carry(contacts: Any, population: Population, row: int, step: Step) -> None:
+def carry(contacts: Any, cohorts: Cohorts, row: int, step: PathStep) -> None:
     """Find what of a cohort is pinned after a step; those born later come before."""
-    cohort = population.cohorts[row]
+    cohort, dt = cohorts.rows[row], step.t1 - step.t0
     before, after = abs(step.X0 - cohort.X_mean), abs(step.X1 - cohort.X_mean)
-    cohort.births *= exp(-_hazard(contacts.pool, step.t1 - step.t0, before, after))
-    _weigh(contacts, cohort, step.t1 - cohort.t_mean)
+    cohort.births *= exp(-_hazard_in_step(contacts.tables, dt, before, after))
+    _find_pinned(contacts, cohort, step.t1 - cohort.t_mean)
 
 
 # the bookkeeping of both kinds
 
 
 @routine(inline=True)
-def _strain(contacts: Any, step: Step, X: float, t: float) -> float:
+def _strain(contacts: Any, step: PathStep, X: float, t: float) -> float:
     """|x|/g at the end of a step of contacts born at X and t."""
-    return abs(step.X1 - X) / grown_by(contacts.growth, step.t1 - t)
+    return abs(step.X1 - X) / growth(contacts.growth.law, step.t1 - t)
 
 
 @routine
-def _born(contacts: Any, population: Population, row: int, step: Step) -> Row:
+def _born(contacts: Any, cohorts: Cohorts, row: int, step: PathStep) -> Cohort:
     """Begin a cohort with the births of a step, of one contact in all."""
-    cohort = population.cohorts[row]
+    cohort = cohorts.rows[row]
     cohort.X_first = step.X0
     cohort.X_last = step.X1
     cohort.X_mean = 0.5 * (step.X0 + step.X1)
@@ -347,24 +311,24 @@ def _born(contacts: Any, population: Population, row: int, step: Step) -> Row:
     cohort.weakest_first = _strain(contacts, step, step.X0, step.t0)
     cohort.weakest_last = 0.0
     cohort.births = 1.0
-    bear(contacts, population, row, step)
+    bear(contacts, cohorts, row, step)
     return cohort
 
 
 @routine
-def _carried(contacts: Any, population: Population, row: int, step: Step) -> Row:
+def _carry_over(contacts: Any, cohorts: Cohorts, row: int, step: PathStep) -> Cohort:
     """Carry a cohort over a step, after all that were born later."""
-    cohort = population.cohorts[row]
+    cohort = cohorts.rows[row]
     first = _strain(contacts, step, cohort.X_first, cohort.t_first)
     last = _strain(contacts, step, cohort.X_last, cohort.t_last)
     cohort.weakest_first = max(cohort.weakest_first, first)
     cohort.weakest_last = max(cohort.weakest_last, last)
-    carry(contacts, population, row, step)
+    carry(contacts, cohorts, row, step)
     return cohort
 
 
 @routine(inline=True)
-def _scale(cohort: Row, births: float) -> None:
+def _scale(cohort: Cohort, births: float) -> None:
     """Make a cohort of one contact one of `births`."""
     cohort.births *= births
     cohort.pinned *= births
@@ -373,41 +337,43 @@ def _scale(cohort: Row, births: float) -> None:
 
 
 @routine
-def begin(contacts: Any, path: Path, population: Population) -> tuple[int, float]:
-    """Fill a population with what there is at first: contacts all born now, or a steady
-    state, that is one life in steps, each of which is there at the same time; returns
-    how many cohorts, and births per unit time before."""
+def begin(contacts: Any, path: CohortPath, cohorts: Cohorts) -> tuple[int, float]:
+    """Fill in what there is at first: contacts all born now, or a steady state, that is
+    one life in steps, each of which is there at the same time; returns how many
+    cohorts, and births per unit time before."""
     if path.cohorts == 0:
-        _born(contacts, population, 0, Step(0.0, 0.0, 0.0, 0.0))
+        _born(contacts, cohorts, 0, PathStep(0.0, 0.0, 0.0, 0.0))
         return 1, 0.0
     dt, count = path.width / path.velocity, 0
-    step, cycle = Step(-dt, -path.width, 0.0, 0.0), contacts.delay.mean
+    step, cycle = PathStep(-dt, -path.width, 0.0, 0.0), contacts.delay.mean
     for i in range(path.cohorts):
         if i == 0:
-            cohort = _born(contacts, population, 0, step)
+            cohort = _born(contacts, cohorts, 0, step)
         else:
-            population.cohorts[i] = population.cohorts[i - 1]
-            copy(population.z[i - 1], population.z[i])
-            cohort = population.cohorts[i]
+            cohorts.rows[i] = cohorts.rows[i - 1]
+            copy(cohorts.z[i - 1], cohorts.z[i])
+            cohort = cohorts.rows[i]
             cohort.X_first -= path.width
             cohort.X_last -= path.width
             cohort.X_mean -= path.width
             cohort.t_first -= dt
             cohort.t_last -= dt
             cohort.t_mean -= dt
-            _carried(contacts, population, i, step)
+            _carry_over(contacts, cohorts, i, step)
         cycle += cohort.pinned * dt
         count += 1
         if cohort.pinned < NEGLIGIBLE_SHARE and not path.choices.given:
             break
     for i in range(count):
-        _scale(population.cohorts[i], dt / cycle)
-        population.order[i] = count - 1 - i
+        _scale(cohorts.rows[i], dt / cycle)
+        cohorts.order[i] = count - 1 - i
     return count, 1.0 / cycle
 
 
 @routine(inline=True)
-def _broken_by(path: Path, breaks: Array, last: int, t: float, rate: float) -> float:
+def _broken_by(
+    path: CohortPath, breaks: Array, last: int, t: float, rate: float
+) -> float:
     """Breaks up to a time, not after edge `last`, from `rate` per unit time before 0."""
     if t <= 0.0:
         return rate * t
@@ -416,28 +382,10 @@ def _broken_by(path: Path, breaks: Array, last: int, t: float, rate: float) -> f
     return breaks[i] + (breaks[i + 1] - breaks[i]) * share
 
 
-@routine(inline=True)
-def _due_births(
-    delay: Waits, path: Path, history: History, m: int, rate: float
-) -> tuple[float, float]:
-    """Births of step m: those of contacts that are detached already, and the breaks per
-    unit time in the step times which those that break in it."""
-    tau, t0, t1 = delay.mean, path.t[m - 1], path.t[m]
-    dt = t1 - t0
-    if tau == 0.0:
-        return 0.0, dt
-    if delay.random > 0.0:
-        ending = math.expm1(-dt / tau)
-        return -(1.0 - history.pinned[m - 1]) * ending, dt + tau * ending
-    until = _broken_by(path, history.breaks, m - 1, min(t1 - tau, t0), rate)
-    before = _broken_by(path, history.breaks, m - 1, t0 - tau, rate)
-    return until - before, max(dt - tau, 0.0)
-
-
-@routine(inline=True)
+@routine
 def _births_in(
-    contacts: Any,
-    path: Path,
+    delay: Waits,
+    path: CohortPath,
     history: History,
     m: int,
     rate: float,
@@ -446,32 +394,45 @@ def _births_in(
 ) -> float:
     """Note the breaks of step m and return its births: `pinned` is left of those that
     were pinned before, and the share `newborn` of the births."""
-    dt = path.t[m] - path.t[m - 1]
-    due, later = _due_births(contacts.delay, path, history, m, rate)
+    tau, t0, t1, breaks = delay.mean, path.t[m - 1], path.t[m], history.breaks
+    # births of contacts detached already, and the time in which those that break in the
+    # step are born, times the breaks per unit time
+    dt, due, later = t1 - t0, 0.0, t1 - t0
+    if delay.random > 0.0:
+        ending = math.expm1(-dt / tau)
+        due, later = -(1.0 - history.pinned[m - 1]) * ending, dt + tau * ending
+    elif tau > 0.0:
+        due = _broken_by(path, breaks, m - 1, min(t1 - tau, t0), rate)
+        due -= _broken_by(path, breaks, m - 1, t0 - tau, rate)
+        later = max(dt - tau, 0.0)
     broken = 1.0 - newborn
-    breaks = (history.pinned[m - 1] - pinned + due * broken) / (dt - later * broken)
-    history.breaks[m] = history.breaks[m - 1] + breaks * dt
-    return due + breaks * later
+    per_time = (history.pinned[m - 1] - pinned + due * broken) / (dt - later * broken)
+    breaks[m] = breaks[m - 1] + per_time * dt
+    return due + per_time * later
 
 
 @routine(inline=True)
-def _weight(contacts: Any, cohort: Row) -> float:
+def _weight(contacts: Any, cohort: Cohort) -> float:
     """What the means of a cohort are over: those pinned, or births where it is one of
     the neighbours that share edges, as then none may be left in their midst."""
     return cohort.births if contacts.nodes.size else cohort.pinned
 
 
 @routine
-def _alike(contacts: Any, path: Path, older: Row, newer: Row, now: float) -> bool:
+def _alike(
+    contacts: Any, path: CohortPath, older: Cohort, newer: Cohort, now: float
+) -> bool:
     """Whether two cohorts may be joined: of the same direction and about as dense in X,
     and together not too wide in X, as thresholds have grown, in |x|/g and in time per
     age."""
     age = now - newer.t_last
-    if newer.t_last - older.t_first > path.share * age + _AT_ONCE:
+    if newer.t_last - older.t_first > path.share * age + _SAME_TIME:
         return False
     if abs(older.weakest_first - newer.weakest_last) > path.width:
         return False
-    if abs(newer.X_last - older.X_first) > path.width * grown_by(contacts.growth, age):
+    if abs(newer.X_last - older.X_first) > path.width * growth(
+        contacts.growth.law, age
+    ):
         return False
     first = (older.X_last - older.X_first) * _weight(contacts, newer)
     second = (newer.X_last - newer.X_first) * _weight(contacts, older)
@@ -480,7 +441,7 @@ def _alike(contacts: Any, path: Path, older: Row, newer: Row, now: float) -> boo
 
 
 @routine
-def _join(contacts: Any, older: Row, newer: Row) -> None:
+def _join(contacts: Any, older: Cohort, newer: Cohort) -> None:
     """Join a cohort to the one before."""
     first, second = _weight(contacts, older), _weight(contacts, newer)
     share = second / (first + second) if first + second > 0.0 else 0.5
@@ -495,21 +456,11 @@ def _join(contacts: Any, older: Row, newer: Row) -> None:
     older.stiffness2 += newer.stiffness2
 
 
-@routine(inline=True)
-def _note(choices: Choices, m: int, i: int, fate: int) -> None:
-    """Keep the fate of cohort i in step m, if there is room."""
-    if not choices.given and m + 1 < choices.first.size:
-        index = choices.first[m] + i
-        if index < choices.fates.size:
-            choices.fates[index] = fate
-        choices.first[m + 1] = index + 1
-
-
 @routine
 def advance_all(
     contacts: Any,
-    path: Path,
-    population: Population,
+    path: CohortPath,
+    cohorts: Cohorts,
     history: History,
     m: int,
     count: int,
@@ -518,64 +469,67 @@ def advance_all(
     """Carry all cohorts, `count` of them, over step m, and add its births, where `rate`
     is births per unit time before the path began; returns how many cohorts there are
     now."""
-    step, pinned = Step(path.t[m - 1], path.X[m - 1], path.t[m], path.X[m]), 0.0
-    cohorts, order = population.cohorts, population.order
-    new = _born(contacts, population, order[count], step)
+    step, pinned = PathStep(path.t[m - 1], path.X[m - 1], path.t[m], path.X[m]), 0.0
+    rows, order, choices = cohorts.rows, cohorts.order, path.choices
+    new = _born(contacts, cohorts, order[count], step)
     for i in range(count - 1, -1, -1):
-        pinned += _carried(contacts, population, order[i], step).pinned
-    _scale(new, _births_in(contacts, path, history, m, rate, pinned, new.pinned))
-    kept = 0
+        pinned += _carry_over(contacts, cohorts, order[i], step).pinned
+    _scale(new, _births_in(contacts.delay, path, history, m, rate, pinned, new.pinned))
+    noted = not choices.given and m + 1 < choices.steps.size
+    kept, first = 0, choices.steps[m].first if choices.given or noted else 0
     # drop cohorts that are gone, and join those that hardly differ
     for i in range(count + 1):
         j, fate = order[i], KEPT
-        cohort, before = cohorts[j], cohorts[order[max(kept - 1, 0)]]
+        cohort, before = rows[j], rows[order[max(kept - 1, 0)]]
         # of neighbours that share edges only the first may go
         droppable = contacts.nodes.size == 0 or (kept == 0 and i < count)
-        if path.choices.given:
-            fate = path.choices.fates[path.choices.first[m] + i]
+        if choices.given:
+            fate = choices.fates[first + i]
         elif cohort.pinned < NEGLIGIBLE_SHARE and droppable:
             fate = DROPPED
         elif kept > 0 and _alike(contacts, path, before, cohort, path.t[m]):
             fate = JOINED
-        _note(path.choices, m, i, fate)
+        if noted and first + i < choices.fates.size:
+            choices.fates[first + i] = fate
         if fate == JOINED:
             _join(contacts, before, cohort)
         if fate == KEPT:
             order[i], order[kept] = order[kept], j
             kept += 1
+    if noted:
+        choices.steps[m + 1].first = first + count + 1
     return kept
 
 
 @routine
-def observe(
-    population: Population, count: int, X: float, history: History, m: int
-) -> float:
-    """Add up the force, the pinned share and the mean square of a population at edge m;
+def observe(cohorts: Cohorts, count: int, X: float, history: History, m: int) -> float:
+    """Add up the force, the pinned share and the mean square of all cohorts at edge m;
     returns the stiffness of all pinned contacts."""
-    stiffness = 0.0
+    force, pinned, square, stiffness = 0.0, 0.0, 0.0, 0.0
     for i in range(count):
-        cohort = population.cohorts[population.order[i]]
+        cohort = cohorts.rows[cohorts.order[i]]
         x, width = X - cohort.X_mean, cohort.X_last - cohort.X_first
-        history.force[m] += x * cohort.stiffness
-        history.pinned[m] += cohort.pinned
+        force += x * cohort.stiffness
+        pinned += cohort.pinned
         stiffness += cohort.stiffness
-        history.square[m] += (x * x + width**2 / 12.0) * cohort.stiffness2
+        square += (x * x + width**2 / 12.0) * cohort.stiffness2
+    history.force[m], history.pinned[m], history.square[m] = force, pinned, square
     return stiffness
 
 
 @kernel
-def march(contacts: Any, path: Path) -> History:
+def march(contacts: Any, path: CohortPath) -> History:
     """Follow contacts along a path."""
-    rows = np.zeros((4, path.t.size))
-    history = History(rows[0], rows[1], rows[2], rows[3])
-    population = empty(contacts.nodes.size, 256 + path.cohorts)
-    count, rate = begin(contacts, path, population)
-    observe(population, count, path.X[0], history, 0)
+    means = np.zeros((4, path.t.size))
+    history = History(means[0], means[1], means[2], means[3])
+    cohorts = empty(contacts.nodes.size, 256 + path.cohorts)
+    count, rate = begin(contacts, path, cohorts)
+    observe(cohorts, count, path.X[0], history, 0)
     for m in range(1, path.t.size):
         if path.stop[0] != 0:
             break
-        if count == population.order.size:
-            population = with_room(population, 2 * count)
-        count = advance_all(contacts, path, population, history, m, count, rate)
-        observe(population, count, path.X[m], history, m)
+        if count == cohorts.order.size:
+            cohorts = with_room(cohorts, 2 * count)
+        count = advance_all(contacts, path, cohorts, history, m, count, rate)
+        observe(cohorts, count, path.X[m], history, m)
     return history

@@ -20,19 +20,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
+from eqsim.laws.aging.base import growth
 from eqsim.laws.barrier.base import height, prefactor
 from eqsim.laws.delay import Waits
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.master.cohorts import (
+    Cohort,
+    Cohorts,
     Growth,
-    Population,
-    Row,
-    Step,
+    PathStep,
     ages_of_survivors,
     bear,
     carry,
     copy,
-    grown_by,
     mean_exponential,
 )
 from eqsim.numerics.compiled import routine
@@ -48,7 +48,7 @@ _ALL_BROKEN = 3.6
 # z up to which it is followed.
 _LARGEST_Z = 1e12
 # -ln of what z grows by in a step that counts as nothing.
-_UNSEEN = 640.0
+_NEGLIGIBLE_GROWTH = 640.0
 # The table of W: ln z where it begins, which is 0 there, and where it ends, and knots
 # per unit of ln z.
 W_BEGINS = -40.0
@@ -56,26 +56,24 @@ _W_ENDS = 6.0
 W_PER_UNIT = 64
 # Differences of ln z that are taken for larger ones, which misses 1e-5 of what is about
 # to break.
-_FLAT = 0.03
+_LEAST_DIFFERENCE = 0.03
 # By how much E may be off the straight line of a step; halves of the step come in from
 # half of that on.
-_STRAIGHT = 0.01
+_STRAIGHTNESS = 0.01
 # Parts of the births of a step where thresholds grow.
-_PARTS = 12
+_PARTS_OF_BIRTHS = 12
 
 
 class Strata(NamedTuple):
-    """Classes of contacts by threshold at birth, ascending: the edges, arrays
-    (strata,); the shares of births, and these times E[k_i/k] and E[(k_i/k)^2], of each
-    and of it and all above, shape (3, strata); and which of the nodes are at the edges,
-    arrays (strata,)."""
+    """Classes of contacts by threshold at birth, ascending, of a smooth law between
+    neighbouring nodes, of a discrete law at one node: the edges, arrays (strata,); and
+    the shares of births, and these times E[k_i/k] and E[(k_i/k)^2], of each and of it
+    and all above, shape (3, strata)."""
 
     left: Array
     right: Array
     share: Array
     above: Array
-    low: Array
-    high: Array
 
 
 class Fronts(NamedTuple):
@@ -100,9 +98,7 @@ def table_of_w() -> Array:
     def slope(y: Array) -> Array:  # Ein(e^y)
         z = np.exp(y)
         small = z * (1.0 - z / 4.0 * (1.0 - z * 2.0 / 9.0 * (1.0 - z * 3.0 / 16.0)))
-        return np.asarray(
-            np.where(y < -6.0, small, y + np.euler_gamma + special.exp1(z))
-        )
+        return np.where(y < -6.0, small, y + np.euler_gamma + special.exp1(z))
 
     nodes, weights = gauss_legendre(8).between(y[:-1], y[1:])
     w = math.exp(W_BEGINS) + np.append(0.0, np.cumsum((weights * slope(nodes)).sum(1)))
@@ -117,10 +113,9 @@ def _w(table: Array, y: float) -> float:
         return 0.0
     i = min(int(steps), table.shape[0] - 2)
     u, h = steps - i, 1.0 / W_PER_UNIT
-    f0, d0, f1, d1 = table[i, 0], table[i, 1] * h, table[i + 1, 0], table[i + 1, 1] * h
-    w = f0 + u * (
-        d0 + u * (3.0 * (f1 - f0) - 2.0 * d0 - d1 + u * (2.0 * (f0 - f1) + d0 + d1))
-    )
+    rise, d0, d1 = table[i + 1, 0] - table[i, 0], table[i, 1] * h, table[i + 1, 1] * h
+    cubic = 3.0 * rise - 2.0 * d0 - d1 + u * (d0 + d1 - 2.0 * rise)
+    w = table[i, 0] + u * (d0 + u * cubic)
     beyond = y - min(y, _W_ENDS)
     return w + beyond * (table[table.shape[0] - 1, 1] + 0.5 * beyond)
 
@@ -129,35 +124,32 @@ def _w(table: Array, y: float) -> float:
 def _broken(table: Array, middle: float, by_threshold: float, by_birth: float) -> float:
     """Mean of 1 - exp(-z) over a cell and a stratum with ln z = `middle` in the middle,
     and its differences."""
-    p, q = max(abs(by_threshold), _FLAT), max(abs(by_birth), _FLAT)
+    p = max(abs(by_threshold), _LEAST_DIFFERENCE)
+    q = max(abs(by_birth), _LEAST_DIFFERENCE)
     outer, inner = 0.5 * (p + q), 0.5 * (p - q)
-    four = (
-        _w(table, middle + outer)
-        - _w(table, middle + inner)
-        - _w(table, middle - inner)
-        + _w(table, middle - outer)
-    )
-    return min(max(four / (p * q), 0.0), 1.0)
+    above = _w(table, middle + outer) - _w(table, middle + inner)
+    below = _w(table, middle - inner) - _w(table, middle - outer)
+    return min(max((above - below) / (p * q), 0.0), 1.0)
 
 
 @routine
-def _heat(contacts: Fronts, cohort: Row, z: Array, step: Step) -> None:
+def _add_hazard(contacts: Fronts, cohort: Cohort, z: Array, step: PathStep) -> None:
     """Add to z of all nodes what it grows by in a step, of contacts born at the older
     edge of a cohort."""
     dt = step.t1 - step.t0
     x0, x1 = step.X0 - cohort.X_first, step.X1 - cohort.X_first
-    g0 = grown_by(contacts.growth, step.t0 - cohort.t_first)
-    g1 = grown_by(contacts.growth, step.t1 - cohort.t_first)
+    g0 = growth(contacts.growth.law, step.t0 - cohort.t_first)
+    g1 = growth(contacts.growth.law, step.t1 - cohort.t_first)
     gm, xm = 0.5 * (g0 + g1), 0.5 * abs(x0 + x1)
     x0, x1 = abs(x0), abs(x1)
     barrier, springs = contacts.barrier, contacts.springs
-    limit = barrier.log_w + math.log(dt) + _UNSEEN if dt > 0.0 else -math.inf
+    limit = barrier.log_w + math.log(dt) + _NEGLIGIBLE_GROWTH if dt > 0.0 else -math.inf
     for k in range(z.size):
         if z[k] > _LARGEST_Z:
             continue
         xi = contacts.nodes[k]
         a0 = a1 = barrier.b * kappa(springs, xi)
-        if contacts.growth.varies:
+        if contacts.growth.stiffens:
             a0 = barrier.b * kappa(springs, xi * g0)
             a1 = barrier.b * kappa(springs, xi * g1)
         low, high = height(barrier, xi * g0, x0, a0), height(barrier, xi * g1, x1, a1)
@@ -165,13 +157,10 @@ def _heat(contacts: Fronts, cohort: Row, z: Array, step: Step) -> None:
             break
         middle = height(barrier, xi * gm, xm, 0.5 * (a0 + a1))
         p = dt * prefactor(barrier, max(xi * gm, xm), xm)
-        bent = 2.0 * abs(middle - 0.5 * (low + high)) / _STRAIGHT
+        bent = 2.0 * abs(middle - 0.5 * (low + high)) / _STRAIGHTNESS
         halves = min(max(bent - 1.0, 0.0), 1.0)
-        low, middle, high = (
-            low - barrier.log_w,
-            middle - barrier.log_w,
-            high - barrier.log_w,
-        )
+        middle -= barrier.log_w
+        low, high = low - barrier.log_w, high - barrier.log_w
         if halves < 1.0:
             z[k] += p * (1.0 - halves) * mean_exponential(low, high)
         if halves > 0.0:
@@ -200,26 +189,25 @@ def _unbroken(left: float, right: float, low: float, high: float) -> float:
     """Share of a stratum above y, in the mean over low < y < high."""
     if high - low > 1e-9 * high:
         return (_below(left, right, high) - _below(left, right, low)) / (high - low)
-    return (
-        1.0
-        if high <= left and high < right
-        else max(right - high, 0.0) / (right - left)
-        if right > left
-        else 0.0
-    )
+    if high <= left and high < right:
+        return 1.0
+    return max(right - high, 0.0) / (right - left) if right > left else 0.0
 
 
 @routine
-def _weigh(contacts: Fronts, cohort: Row, older: Array, newer: Array, g: float) -> None:
+def _find_pinned_by_strata(
+    contacts: Fronts, cohort: Cohort, older: Array, newer: Array, g: float
+) -> None:
     """Find what of a cohort is pinned, with ln z at its older and newer edge."""
     strata, pinned, stiffness, stiffness2 = contacts.strata, 0.0, 0.0, 0.0
+    apart = contacts.nodes.size - strata.left.size
     low = min(cohort.weakest_first, cohort.weakest_last)
     high = max(cohort.weakest_first, cohort.weakest_last)
     for k in range(strata.left.size):
         if strata.right[k] <= low and strata.left[k] < high:
             continue
-        weak0, strong0 = older[strata.low[k]], older[strata.high[k]]
-        weak1, strong1 = newer[strata.low[k]], newer[strata.high[k]]
+        weak0, strong0 = older[k], older[k + apart]
+        weak1, strong1 = newer[k], newer[k + apart]
         # stronger contacts are safer
         if min(strong0, strong1) > _ALL_BROKEN:
             continue
@@ -238,7 +226,7 @@ def _weigh(contacts: Fronts, cohort: Row, older: Array, newer: Array, g: float) 
         pinned += left * strata.share[0, k]
         stiffness += left * strata.share[1, k]
         stiffness2 += left * strata.share[2, k]
-    if contacts.growth.varies:
+    if contacts.growth.stiffens:
         stiffness, stiffness2 = stiffness * g, stiffness2 * g * g
     cohort.pinned = cohort.births * pinned
     cohort.stiffness = cohort.births * stiffness
@@ -246,60 +234,54 @@ def _weigh(contacts: Fronts, cohort: Row, older: Array, newer: Array, g: float) 
 
 
 @bear.register(Fronts)
-def _bear(contacts: Fronts, population: Population, row: int, step: Step) -> None:
+def _bear(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
     """Find z of those born at the beginning of the step, which grows evenly in each of a
     number of parts by age, and what is pinned. Where thresholds grow, a part is twice
     as long as that before."""
-    cohort, z, scratch = population.cohorts[row], population.z[row], population.scratch
-    parts = _PARTS if contacts.growth.values.size else 1
+    cohort, z, scratch = cohorts.rows[row], cohorts.z[row], cohorts.scratch
+    parts = _PARTS_OF_BIRTHS if contacts.growth.ages else 1
     # E[1], E[u], E[u^2] of those left, u the age over the step
     share, age, age2 = scratch.share, scratch.age, scratch.age2
     for k in range(z.size):
         z[k], share[k], age[k], age2[k] = 0.0, 0.0, 0.0, 0.0
     u, dt, dX = 0.0, step.t1 - step.t0, step.X1 - step.X0
-    for part in range(parts):
-        after = 0.5 ** (parts - 1 - part)
+    for i in range(parts):
+        after = 0.5 ** (parts - 1 - i)
         width = after - u
         copy(z, scratch.before)
         t, X = step.t0 + u * dt, step.X0 + u * dX
-        piece = Step(t, X, step.t0 + after * dt, step.X0 + after * dX)
-        _heat(contacts, cohort, z, piece)
+        piece = PathStep(t, X, step.t0 + after * dt, step.X0 + after * dX)
+        _add_hazard(contacts, cohort, z, piece)
         for k in range(z.size):
             before = scratch.before[k]
             if before > 700.0:
                 continue
             left = ages_of_survivors(min(z[k] - before, 700.0))
-            here = exp(-before) * left.share * width
-            share[k] += here
-            age[k] += here * (u + width * left.age)
-            age2[k] += here * (
-                u * u + 2.0 * u * width * left.age + width * width * left.age2
-            )
+            alive = exp(-before) * left.share * width
+            square = u * u + 2.0 * u * width * left.age + width * width * left.age2
+            share[k] += alive
+            age[k] += alive * (u + width * left.age)
+            age2[k] += alive * square
         u = after
     _logarithms(z, scratch.newer)
-    strata, g = contacts.strata, 1.0
-    if contacts.growth.varies:
-        g = grown_by(contacts.growth, 0.5 * dt)
+    strata, weakest = contacts.strata, cohort.weakest_first
+    g = growth(contacts.growth.law, 0.5 * dt) if contacts.growth.stiffens else 1.0
     cohort.pinned, cohort.stiffness, cohort.stiffness2 = 0.0, 0.0, 0.0
     for k in range(strata.left.size):
-        i, j = strata.low[k], strata.high[k]
-        unbroken = 0.5 * _unbroken(
-            strata.left[k], strata.right[k], 0.0, cohort.weakest_first
-        )
-        cohort.pinned += unbroken * strata.share[0, k] * (share[i] + share[j])
+        j = k + contacts.nodes.size - strata.left.size
+        unbroken = 0.5 * _unbroken(strata.left[k], strata.right[k], 0.0, weakest)
+        cohort.pinned += unbroken * strata.share[0, k] * (share[k] + share[j])
         # as if all were at the middle, and spread evenly
-        first, second = 2.0 * g * (age[i] + age[j]), 3.0 * g * g * (age2[i] + age2[j])
+        first, second = 2.0 * g * (age[k] + age[j]), 3.0 * g * g * (age2[k] + age2[j])
         cohort.stiffness += unbroken * strata.share[1, k] * first
         cohort.stiffness2 += unbroken * strata.share[2, k] * second
 
 
 @carry.register(Fronts)
-def _carry(contacts: Fronts, population: Population, row: int, step: Step) -> None:
-    cohort, z, scratch = population.cohorts[row], population.z[row], population.scratch
-    _heat(contacts, cohort, z, step)
+def _carry(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
+    cohort, z, scratch = cohorts.rows[row], cohorts.z[row], cohorts.scratch
+    _add_hazard(contacts, cohort, z, step)
     _logarithms(z, scratch.older)
-    age = step.t1 - 0.5 * (cohort.t_first + cohort.t_last)
-    _weigh(
-        contacts, cohort, scratch.older, scratch.newer, grown_by(contacts.growth, age)
-    )
+    g = growth(contacts.growth.law, step.t1 - 0.5 * (cohort.t_first + cohort.t_last))
+    _find_pinned_by_strata(contacts, cohort, scratch.older, scratch.newer, g)
     copy(scratch.older, scratch.newer)

@@ -13,23 +13,24 @@ import numpy as np
 
 from eqsim.errors import InputError
 from eqsim.estimate import Estimate
-from eqsim.master.transient import Transient, transient
+from eqsim.master.transient import transient
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
-WINDOW = 4.0  # the peak is sought over so many rms thresholds
+# The peak is sought over so many rms thresholds.
+PEAK_WINDOW = 4.0
 # Points of the mean within the window, and up to a peak next to a kink of the law of
 # thresholds.
-_POINTS = 401
-_CLOSER = 4001
+_POINTS_OF_PEAK = 401
+_POINTS_AT_KINK = 4001
 # Points by which a fall of discrete thresholds is uncertain to its left, in
 # `Transient.force_error`.
 _BEFORE_FALL = 4
 # Peaks whose relative difference is smaller are alike.
 _ALIKE = 1e-3
 # Curvature of a flank over that of the peak.
-_STRAIGHT = 1e-2
+_STRAIGHT_FLANK = 1e-2
 
 
 class Peak(NamedTuple):
@@ -58,13 +59,12 @@ def vertex(X: Array, force: Array, top: int) -> tuple[float, float]:
     that all break at once."""
     low, middle, high = force[top - 1 : top + 2]
     bends = np.abs(np.diff(force[max(top - 2, 0) : top + 3], 2))
-    if bends.min() < _STRAIGHT * bends.max():
+    if bends.min() < _STRAIGHT_FLANK * bends.max():
         return float(X[top]), float(middle)
     bend = min(low - 2.0 * middle + high, -1e-300)
     shift = min(max(0.5 * (low - high) / bend, -1.0), 1.0)
-    return float(X[top] + shift * (X[1] - X[0])), float(
-        middle - 0.25 * (low - high) * shift
-    )
+    place = X[top] + shift * (X[1] - X[0])
+    return float(place), float(middle - 0.25 * (low - high) * shift)
 
 
 def tip(ensemble: Ensemble, X: Array, force: Array, top: int) -> tuple[float, float]:
@@ -78,60 +78,28 @@ def tip(ensemble: Ensemble, X: Array, force: Array, top: int) -> tuple[float, fl
 
 def first_peak(ensemble: Ensemble, velocity: float) -> Peak:
     """The exact static peak at a constant velocity, from the renewal equation over four
-    rms thresholds.
-
-    Parameters
-    ----------
-    ensemble : Ensemble
-    velocity : float
-
-    Returns
-    -------
-    Peak
-        With errors that bound those of the solver.
-
-    Raises
-    ------
-    InputError
-        Where `eqsim.transient` does, and where the force rises without a peak.
-    """
-    period = ensemble.thresholds.rms
-    found = transient(ensemble, Drive(velocity, WINDOW * period), _POINTS)
-    top = _sure_top(found, period)
-    cell = float(found.X[1])
-    kinks = ensemble.thresholds.kinks
-    if not ensemble.thresholds.steps.size and np.any(
-        np.abs(kinks - found.X[top]) < 2.0 * cell
-    ):
+    rms thresholds, with errors that bound those of the solver. Raises InputError where
+    `eqsim.transient` does, and where the force rises without a peak."""
+    law, period = ensemble.thresholds, ensemble.thresholds.rms
+    exact = transient(ensemble, Drive(velocity, PEAK_WINDOW * period), _POINTS_OF_PEAK)
+    X, force = exact.X, exact.force
+    alike = np.minimum(exact.force_error, _ALIKE * force.max())
+    top = top_of(X, force, alike, period)
+    if not 0 < top < X.size - 1 or force[top] - force[top:].min() <= alike[top]:
+        raise InputError("the force rises without a first peak")
+    if not law.steps.size and np.any(np.abs(law.kinks - X[top]) < 2.0 * X[1]):
         # a force that turns at a kink has no vertex: look closer
-        found = transient(
-            ensemble, Drive(velocity, float(found.X[top]) + 2.0 * cell), _CLOSER
-        )
-        top, cell = int(np.argmax(found.force)), float(found.X[1])
-        place, height = float(found.X[top]), float(found.force[top])
-        beside, missed = (
-            cell,
-            float(max(np.abs(np.diff(found.force[top - 1 : top + 2])).max(), 0.0)),
-        )
+        near = Drive(velocity, float(X[top] + 2.0 * X[1]))
+        exact = transient(ensemble, near, _POINTS_AT_KINK)
+        X, force, top = exact.X, exact.force, int(np.argmax(exact.force))
+        place, height, beside = float(X[top]), float(force[top]), float(X[1])
+        missed = float(np.abs(np.diff(force[top - 1 : top + 2])).max())
     else:
-        place, height = vertex(found.X, found.force, top)
-        beside, missed = tip(ensemble, found.X, found.force, top)
+        place, height = vertex(X, force, top)
+        beside, missed = tip(ensemble, X, force, top)
     # next to a fall the mean is uncertain by all of it; before it the peak is as
     # certain as `missed` says
-    error = (
-        float(found.force_error[max(top - _BEFORE_FALL, 0) : top + 1].min()) + missed
-    )
-    return Peak(Estimate(place, max(beside, 0.1 * cell), 0), Estimate(height, error, 0))
-
-
-def _sure_top(course: Transient, period: float) -> int:
-    """The index of the first maximum. Raises InputError if the force does not fall
-    after it."""
-    error = np.minimum(course.force_error, _ALIKE * course.force.max())
-    top = top_of(course.X, course.force, error, period)
-    if (
-        not 0 < top < course.X.size - 1
-        or course.force[top] - course.force[top:].min() <= error[top]
-    ):
-        raise InputError("the force rises without a first peak")
-    return top
+    before = exact.force_error[max(top - _BEFORE_FALL, 0) : top + 1]
+    error = float(before.min()) + missed
+    beside = max(beside, 0.1 * float(X[1]))
+    return Peak(Estimate(place, beside, 0), Estimate(height, error, 0))

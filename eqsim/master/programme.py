@@ -8,13 +8,12 @@ time obey
     pinned(t) = S_0(t) + int_0^t B(s) S(t|s) ds,      friction = m_0(t) + int_0^t B(s) m(t|s) ds + (eta v/k)(1 - pinned)
     without delay pinned = 1;      fixed delay: B(t) = Gamma(t - tau);      exponential delay: B = (1 - pinned)/tau
 
-A contact of threshold xi at birth, whose threshold has grown to xi g(age), breaks
-mechanically where |x| = xi g, so that the law of thresholds itself says how many have,
-given the greatest |x|/g so far; and thermally at the rate of `laws.barrier` for |x| and
-its threshold, which is integrated over a step as if the barrier were linear in time.
-Births are spread evenly over steps, and thresholds divided into strata
-(`master.cohorts`). Where heat breaks no contact, and of annealed contacts, all that
-were born together share one hazard and the law of thresholds does the rest.
+A contact of threshold xi at birth, grown to xi g(age), breaks mechanically where |x| =
+xi g, so that the law of thresholds says how many have, given the greatest |x|/g so far.
+It breaks thermally at the rate of `laws.barrier`, integrated over a step as if the
+barrier were linear in time. Births are spread evenly over steps, and thresholds divided
+into strata (`master.fronts`), unless contacts born together share one hazard, as
+without heat and of annealed contacts (`master.cohorts`).
 
 Lengths are in units of the law's scale, and time in units of the whole programme. Three
 grids, each with twice the steps and strata of the one before, give the result,
@@ -22,7 +21,8 @@ extrapolated as of second order, and its error.
 """
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy import integrate, special
@@ -37,11 +37,11 @@ from eqsim.master.annealed import successful_attempts
 from eqsim.master.cohorts import (
     NO_CHOICES,
     Choices,
+    CohortPath,
     Growth,
     History,
-    Path,
-    Pool,
-    Pooled,
+    LawTables,
+    PooledContacts,
     march,
 )
 from eqsim.master.fronts import Fronts, Strata, table_of_w
@@ -58,29 +58,30 @@ from eqsim.numerics.quadrature import (
 )
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import NEVER, ThreadPool
+from eqsim.results import Drawn, Result
 
 # Displacement in a step of the coarsest grid, in units of the width of the law or of a
 # threshold.
-_PATH = 0.05
+STEP_PER_WIDTH = 0.05
 # A step of the coarsest grid over the time since the velocity changed.
-_GROWTH = 0.15
+STEP_PER_AGE = 0.15
 # The first step of the coarsest grid over the shortest time of the contacts.
-_FIRST = 0.1
+FIRST_STEP = 0.1
 # Strata of the coarsest grid.
-_STRATA = 96
+STRATA = 96
 # Cells of the tables of the coarsest grid.
-_CELLS = 1000
+TABLE_CELLS = 1000
 # Steps of a march at most, to bound time and memory.
 MOST_STEPS = 200_000
 # Cohorts of a stationary start at most, in steps of the coarsest grid.
 _MOST_COHORTS = 5000
 # The range of thresholds, in normal deviates on either side.
-_SIGMA = 8.2
+_DEVIATES = 8.2
 # By how much strata crowd in the middle, where they are 1.8 times narrower.
-_CROWD = 2.0
+_CROWDING = 2.0
 # Time in which contacts that break or are born at an instant do so, over the longest
 # step.
-_INSTANT = 1e-7
+_INSTANT_PER_STEP = 1e-7
 # The same over the whole time: more than rounding, and less than what could be seen.
 _LEAST_INSTANT = 1e-11
 _LONGEST_INSTANT = 1e-9
@@ -89,113 +90,108 @@ _GRADED = 2.0 ** -np.arange(1.0, 11.0)
 # Delays after a change of velocity that steps end at.
 _KINKS = 6
 # Share of a threshold that it has to grow by before it counts.
-_GROWN = 0.02
+_LEAST_GROWTH = 0.02
 # Share by which the velocity changes where steps begin anew.
 _CHANGED = 0.5
-# Ages in the table of growth, and the decades that they span.
-_AGES = 20_000
-_DECADES = 16
 # The least error in units of the largest in a programme.
 _CARRIED = 0.1
 # Share of contacts that may break, below which their thresholds do not set steps.
-_RARE = 0.01
+_RARE_BREAKS = 0.01
 # Contacts of which a typical threshold is the mean.
-_RANKS = 64
+_TYPICAL_CONTACTS = 64
 # What tables and rounding miss, over the largest value.
-_RESOLVED = 2e-6
+_TABLE_ERROR = 2e-6
+_STIFFNESS_POWERS = np.arange(3)[:, None]
 
 
-def _cells(law: ThresholdLaw, cells: int) -> tuple[Array, Array, Array]:
-    """Edges of cells of a law, shape (edges,), nodes in them, shape (edges - 1, nodes),
-    and their shares of births. Kinks of the law are edges, both ends of a gap too: the
-    cell between them has no share."""
-    even = _SIGMA / math.sinh(_CROWD) * np.sinh(np.linspace(-_CROWD, _CROWD, cells + 1))
+def cells_of_law(
+    law: ThresholdLaw, kinks: Array, even: Array, order: int
+) -> tuple[Array, Array, Array]:
+    """Edges of cells of a law, shape (edges,), Gauss-Legendre nodes in the normal
+    deviate, shape (edges - 1, order), and their shares of births. Edges are the
+    deviates `even` and kinks of the law, both ends of a gap too: the cell between them
+    has no share."""
 
     def threshold(z: Array) -> Array:
         return np.asarray(law.inverse_survival(normal_exponent(z))) / law.scale
 
-    kinks = law.kinks if law.kinks.size <= cells else NO_STEPS
     with np.errstate(divide="ignore"):
         low, high = special.ndtri(np.array([law.cdf(kinks), law.sf(kinks)], float))
-    place = np.where(low < 0.0, low, -high)
-    inside = np.abs(place) < _SIGMA
-    z = np.append(even, place[inside])
+    z = np.where(low < 0.0, low, -high)
+    inside = np.abs(z) < even[-1]
     edge = np.append(threshold(even), kinks[inside] / law.scale)
-    order = np.lexsort((edge, z))
-    z, edge = z[order], np.maximum.accumulate(edge[order])
-    inner, weights = gauss_legendre(4).between(z[:-1], z[1:])
-    share = weights * np.exp(-0.5 * inner**2)
-    return edge, threshold(inner), share / share.sum()
+    z = np.append(even, z[inside])
+    order_of_edges = np.lexsort((edge, z))
+    z, edge = z[order_of_edges], np.maximum.accumulate(edge[order_of_edges])
+    nodes, weights = gauss_legendre(order).between(z[:-1], z[1:])
+    share = weights * np.exp(-0.5 * nodes**2)
+    return edge, threshold(nodes), share / share.sum()
+
+
+def _cells_of(contacts: Reduced, cells: int) -> tuple[Array, Array, Array]:
+    """Edges of so many cells, shape (edges,), shares of births in them times
+    (k_i/k)^p, shape (3, edges - 1), and those above each edge, shape (3, edges)."""
+    law, share = contacts.law, np.linspace(-_CROWDING, _CROWDING, cells + 1)
+    even = _DEVIATES / math.sinh(_CROWDING) * np.sinh(share)
+    kinks = law.kinks if law.kinks.size <= cells else NO_STEPS
+    edge, xi, share = cells_of_law(law, kinks, even, 4)
+    shares = (share * kappa_of(contacts, xi) ** _STIFFNESS_POWERS[..., None]).sum(
+        axis=2
+    )
+    return edge, shares, _totals_from(shares)
 
 
 def _strata(contacts: Reduced, strata: int) -> tuple[Array, Strata]:
-    """Nodes and strata of quenched contacts; of a discrete law its thresholds, or groups of them
-    where there are many."""
-    powers, index = np.arange(3)[:, None], np.arange(strata)
+    """Nodes and strata of quenched contacts; of a discrete law its thresholds, or
+    groups of them where there are many."""
     if contacts.law.steps.size:
         xi, share, stiff = different_steps(contacts)
         groups = np.linspace(0, xi.size, min(strata, xi.size) + 1).astype(int)
         first = np.unique(groups)[:-1]
-        parts = np.add.reduceat(share * stiff**powers, first, axis=1)
-        nodes = np.add.reduceat(share * xi, first) / parts[0]
-        low = high = index[: nodes.size]
+        shares = np.add.reduceat(share * stiff**_STIFFNESS_POWERS, first, axis=1)
+        nodes = np.add.reduceat(share * xi, first) / shares[0]
+        above = _totals_from(shares)
         left, right = xi[first], xi[np.append(first[1:], xi.size) - 1]
     else:
-        nodes, inner, share = _cells(contacts.law, strata)
-        index = np.arange(share.shape[0])
-        parts = (share * kappa_of(contacts, inner) ** powers[:, None]).sum(axis=2)
-        low, high, left, right = index, index + 1, nodes[:-1], nodes[1:]
-    above = _totals_from(parts)[:, :-1].copy()
-    return nodes, Strata(left, right, parts, above, low, high)
+        nodes, shares, above = _cells_of(contacts, strata)
+        left, right = nodes[:-1], nodes[1:]
+    return nodes, Strata(left, right, shares, above[:, :-1].copy())
 
 
-def _pool(contacts: Reduced, cells: int) -> Pool:
+def _tables(contacts: Reduced, cells: int) -> LawTables:
     """Tables of contacts that heat does not break, or all at the same rate."""
-    powers = np.arange(3)[:, None]
     if contacts.law.steps.size:
         xi, share, stiff = different_steps(contacts)
         between = np.linspace(0.0, xi[-1], cells)
-        y = np.sort(np.concatenate((between, xi, xi)))
-        twice = (np.diff(y, prepend=-1.0) == 0) | (np.diff(y, append=math.inf) == 0)
-        y = y[~np.isin(y, xi) | twice]
-        before = np.diff(y, append=math.inf) == 0  # just below a threshold
+        # just below and at each threshold, and beyond the last
+        y = np.concatenate((np.setdiff1d(between, xi), xi, xi, xi[-1:]))
+        y.sort()
+        before = np.diff(y, append=math.inf) == 0
         index = np.searchsorted(xi, y, side="right") - before
-        above = _totals_from(share * stiff**powers)[:, index]
-        rate = np.zeros(y.size)
+        above, rate = (
+            _totals_from(share * stiff**_STIFFNESS_POWERS)[:, index],
+            np.zeros(y.size),
+        )
         barrier, contributing = contacts.barrier, xi.size if contacts.annealed else 0
         for i in range(contributing):
             last = np.searchsorted(y, xi[i]) + 1
             log_rate = barrier.log_rate(y[:last], xi[i], barrier.b * stiff[i])
             rate[:last] += share[i] * np.exp(barrier.log_w + log_rate)
     else:
-        edge, inner, share = _cells(contacts.law, cells)
-        y = np.append(0.0, edge)
-        part = (share * kappa_of(contacts, inner) ** powers[:, None]).sum(axis=2)
-        above = _totals_from(part)
-        above = np.concatenate((above[:, :1], above), axis=1)
-        annealed = contacts.annealed
-        rate = successful_attempts(contacts, y) if annealed else np.zeros(y.size)
+        edge, _, above = _cells_of(contacts, cells)
+        y, above = np.append(0.0, edge), np.append(above[:, :1], above, axis=1)
+        rate = np.zeros_like(y)
+        if contacts.annealed:
+            rate = successful_attempts(contacts, y)
     total = integrate.cumulative_trapezoid(above, y, axis=1, initial=0.0)
     with np.errstate(divide="ignore"):
-        return Pool(y, above, total, np.maximum(np.log(rate), -1e4))
+        return LawTables(y, above, total, np.maximum(np.log(rate), -1e4))
 
 
 def _totals_from(shares: Array) -> Array:
     """The sums of each share and all after it, and 0 at the end."""
-    totals = shares[:, ::-1].cumsum(axis=1)[:, ::-1]
-    return np.append(totals, np.zeros((shares.shape[0], 1)), axis=1)
-
-
-def _growth_of(contacts: Reduced, age: float) -> Growth:
-    """How thresholds grow up to an age."""
-    aging = contacts.aging
-    if isinstance(aging, Unaged):
-        return Growth(1.0, 1.0, 1.0, NO_STEPS, False)
-    ages = np.geomspace(age * 10.0**-_DECADES, age, _AGES)
-    newborn, values = float(aging.growth_at(np.zeros(1))[0]), aging.growth_at(ages)
-    per_ratio = (_AGES - 1) / (_DECADES * math.log(10.0))
-    varies = bool(stiffness_varies(aging, contacts.springs))
-    return Growth(float(ages[0]), per_ratio, newborn, values, varies)
+    padded = np.append(shares, np.zeros((shares.shape[0], 1)), axis=1)
+    return padded[:, ::-1].cumsum(axis=1)[:, ::-1]
 
 
 class Course(NamedTuple):
@@ -212,23 +208,16 @@ class Course(NamedTuple):
         return np.interp(t, np.append(0.0, self.ends), np.append(0.0, X))
 
 
-class Edges(NamedTuple):
-    """Times of edges of steps of the coarsest grid, array (edges,), and of those
-    between which means are smooth."""
-
-    t: Array
-    smooth: Array
-
-
-def _edges(
+def _edges_of_steps(
     course: Course, width: float, quickest: float, tau: float, sharp: list[Sharp]
-) -> Edges:
-    """Steps that end at ends of segments, whole delays after these, and sharp instants;
-    many contacts that are born or break at one instant do so in a step of next to no
-    time before it."""
+) -> tuple[Array, Array]:
+    """Edges of steps of the coarsest grid, and those between which means are smooth:
+    ends of segments, whole delays after these, and sharp instants. Many contacts that
+    are born or break at one instant do so in a step of next to no time before it."""
     fastest, instant = np.abs(course.velocity).max(), _LEAST_INSTANT
     if fastest:
-        instant = min(max(_INSTANT * width / fastest, instant), _LONGEST_INSTANT)
+        instant = max(_INSTANT_PER_STEP * width / fastest, instant)
+        instant = min(instant, _LONGEST_INSTANT)
     atoms = np.array([s.t for s in sharp if s.order < 0.0])
     smooth = np.concatenate((course.ends, [s.t for s in sharp], atoms - instant))
     steep = np.array([s.t for s in sharp if s.order == -0.5])
@@ -238,8 +227,8 @@ def _edges(
     for end, velocity in zip(course.ends, course.velocity, strict=True):
         changed = abs(velocity - last) > _CHANGED * max(abs(velocity), abs(last))
         if changed or t[-1] == 0.0:
-            since, after = 0.0, t[-1] + tau * np.arange(1, _KINKS + 1)
-            kinks = np.append(kinks[kinks > t[-1]], after)
+            since, later = 0.0, t[-1] + tau * np.arange(1, _KINKS + 1)
+            kinks = np.append(kinks[kinks > t[-1]], later)
             kinks = np.unique(np.round(kinks, 11))  # rounding makes no step
         last = velocity
         longest = min(width / abs(velocity), 1.0) if velocity else 1.0
@@ -256,7 +245,7 @@ def _edges(
             if np.abs(begins - begin).min(initial=1.0) < same:
                 since = 0.0
             while elapsed[-1] < (mark - begin) * (1.0 - 1e-9):
-                step = max(_FIRST * quickest, _GROWTH * (since + elapsed[-1]))
+                step = max(FIRST_STEP * quickest, STEP_PER_AGE * (since + elapsed[-1]))
                 elapsed.append(elapsed[-1] + min(step, longest))
                 if len(t) + len(elapsed) > MOST_STEPS:
                     raise InputError(
@@ -268,7 +257,7 @@ def _edges(
             t[-1] = float(mark)
             if np.abs(np.append(smooth, kinks) - mark).min() < same:
                 marks.append(t[-1])
-    return Edges(np.array(t), np.array(marks))
+    return np.array(t), np.array(marks)
 
 
 def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course]:
@@ -296,34 +285,37 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
 
 
 class Numerics(NamedTuple):
-    """How finely an ensemble is resolved: a typical threshold, the longest displacement
-    in a step of the coarsest grid, the longest life in a stationary state at velocity
-    `before`, and how thresholds grow."""
+    """How finely contacts along a course are resolved: a typical threshold, the longest
+    displacement in a step of the coarsest grid, and the longest life in the stationary
+    state before."""
 
     ensemble: Reduced
+    course: Course
     typical: float
     width: float
     life: float
-    before: float
-    growth: Growth
 
-    def contacts(self, fine: float) -> Pooled | Fronts:
+    def contacts(self, fine: float) -> PooledContacts | Fronts:
         """For kernels, `fine` times as many strata or cells."""
         ensemble, delay = self.ensemble, self.ensemble.delay.for_kernels()
+        aging = ensemble.aging
+        stiffens = bool(stiffness_varies(aging, ensemble.springs))
+        growth = Growth(aging, not isinstance(aging, Unaged), stiffens)
         if not ensemble.barrier.thermal or ensemble.annealed:
-            pool = _pool(ensemble, round(fine * _CELLS))
-            return Pooled(pool, self.growth, delay, NO_STEPS)
-        nodes, strata = _strata(ensemble, round(fine * _STRATA))
+            tables = _tables(ensemble, round(fine * TABLE_CELLS))
+            return PooledContacts(tables, growth, delay, NO_STEPS)
+        nodes, strata = _strata(ensemble, round(fine * STRATA))
         laws = ensemble.barrier, ensemble.springs, delay
-        return Fronts(nodes, strata, self.growth, *laws, table_of_w())
+        return Fronts(nodes, strata, growth, *laws, table_of_w())
 
     def path(
         self, t: Array, X: Array, fine: float, choices: Choices = NO_CHOICES
-    ) -> Path:
+    ) -> CohortPath:
         """Through edges, arrays (edges,)."""
-        cohorts = math.ceil(self.life / self.width * fine) if self.before else 0
-        width, share = self.width / fine, _GROWTH / fine
-        return Path(t, X, width, share, cohorts, self.before, choices, NEVER)
+        width, before = self.width / fine, self.course.before
+        cohorts = math.ceil(self.life / width) if before else 0
+        share = STEP_PER_AGE / fine
+        return CohortPath(t, X, width, share, cohorts, before, choices, NEVER)
 
 
 def _typical(contacts: Reduced, reach: float) -> float:
@@ -336,10 +328,10 @@ def _typical(contacts: Reduced, reach: float) -> float:
     if typical <= reach:
         return typical
     share = float(law.cdf(reach * law.scale))
-    if share < _RARE:
+    if share < _RARE_BREAKS:
         return reach
-    ranks = -np.log1p(-share * (np.arange(_RANKS) + 0.5) / _RANKS)
-    return float(np.mean(law.inverse_survival(ranks))) / law.scale
+    ranks = (np.arange(_TYPICAL_CONTACTS) + 0.5) / _TYPICAL_CONTACTS
+    return float(np.mean(law.inverse_survival(-np.log1p(-share * ranks)))) / law.scale
 
 
 def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
@@ -353,7 +345,7 @@ def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
     width = typical
     if high > low:
         width = min(max(1.5 * (high - low), 0.02 * typical), typical)
-    width, life = _PATH * width, float(strongest)
+    width, life = STEP_PER_WIDTH * width, float(strongest)
     for _ in range(50 if v else 0):  # towards the root of x = xi growth(x/v)
         life = strongest * max(1.0, float(aging.growth_at(np.array([life / v]))[0]))
     if v and life > _MOST_COHORTS * width:
@@ -361,77 +353,100 @@ def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
             "programme: contacts whose thresholds are thousands of times the width of their law still matter, and have "
             'no reference with start = "stationary"; start "fresh"'
         )
-    growth = _growth_of(contacts, 1.0 + (life / v if v else 0.0))
-    return Numerics(contacts, typical, width, life, v, growth)
+    return Numerics(contacts, course, typical, width, life)
 
 
-def solve(
-    contacts: Reduced, course: Course
-) -> tuple[Array, list[tuple[Array, History]]]:
-    """Times of kinks; and of edges, with what `march` finds there, on three grids, each
-    with twice the steps of the one before."""
-    reach = float(np.ptp(course.at(np.append(0.0, course.ends))))
-    numerics = numerics_of(contacts, course, reach or math.inf)
-    aging, delay, thermal = (
-        contacts.aging,
-        contacts.delay.mean,
-        contacts.barrier.thermal,
-    )
+def solve(contacts: Reduced, course: Course) -> tuple[Array, Array, list[History]]:
+    """Times of kinks, and of the edges of the finest of three grids, each with twice the
+    steps of the one before; and the means on these grids."""
+    corners = np.append(0.0, course.ends)
+    X = course.at(corners)
+    numerics = numerics_of(contacts, course, float(np.ptp(X)) or math.inf)
+    aging, delay, thermal = contacts.aging, contacts.delay, contacts.barrier.thermal
     ages = np.append(np.geomspace(1e-15, 1.0, 1000), 1.0)
     growth = aging.growth_at(ages) / aging.growth_at(np.zeros(1))
-    grown = np.append(np.abs(growth[:-1] - 1.0) > _GROWN, True)
-    quickest = min(1.0, delay or 1.0, float(ages[np.argmax(grown)]))
+    grown = np.append(np.abs(growth[:-1] - 1.0) > _LEAST_GROWTH, True)
+    quickest = min(1.0, delay.mean or 1.0, float(ages[np.argmax(grown)]))
     if thermal:
         quickest = min(quickest, math.exp(-contacts.barrier.log_w))
-    fixed, ages_change = (
-        isinstance(contacts.delay, Fixed),
-        not isinstance(aging, Unaged),
-    )
-    corners = np.append(0.0, course.ends)
+    fixed, changes = isinstance(delay, Fixed), not isinstance(aging, Unaged)
     sharp = sharp_instants(
-        Corners(corners, course.at(corners)),
+        Corners(corners, X),
         levels_of(contacts.law),
-        aging.growth_at if ages_change else None,
-        delay,
+        aging.growth_at if changes else None,
+        delay.mean,
         not fixed,
         course.before == 0.0,
-        bool(thermal or delay) or ages_change,
+        bool(thermal or delay.mean) or changes,
     )
-    t, kinks = _edges(course, numerics.width, quickest, delay if fixed else 0.0, sharp)
+    tau = delay.mean if fixed else 0.0
+    t, kinks = _edges_of_steps(course, numerics.width, quickest, tau, sharp)
 
-    def on_grid(fine: int) -> tuple[Array, History]:
+    def edges_of(fine: int) -> Array:
         index = np.arange(fine * (t.size - 1) + 1) / fine
-        edges = np.interp(index, np.arange(t.size), t)
+        return np.interp(index, np.arange(t.size), t)
+
+    def on_grid(fine: int) -> History:
+        edges = edges_of(fine)
         path = numerics.path(edges, course.at(edges), fine)._replace(stop=threads.stop)
-        return edges, march(numerics.contacts(fine), path)
+        return march(numerics.contacts(fine), path)
 
     # the finest takes as long as twice the others, or more
     with ThreadPool(2) as threads:
         finest, middle, coarse = threads.map(on_grid, (4, 2, 1))
-    return kinks, [coarse, middle, finest]
+    return kinks, edges_of(4), [coarse, middle, finest]
 
 
-class Means(NamedTuple):
-    """Means at the instants of a programme's grid, and their errors, arrays (points,);
-    lengths in the user's unit, breaks per contact and unit time."""
+@dataclass(frozen=True, repr=False)
+class Transient(Result):
+    """Exact means over independent contacts on the way, arrays of shape (points,).
 
+    Attributes
+    ----------
+    X, t : ndarray
+        Displacement (length) and time.
+    force, force_error : ndarray
+        <F>/(N k) and its error estimate (length).
+    pinned, pinned_error : ndarray
+        Fraction of pinned contacts and its error estimate.
+    breaks : ndarray
+        Gamma, breaks per contact and unit displacement (1/length); along a programme,
+        which may hold, per unit time (1/time), and in the mean over a step of the
+        solver.
+    force_variance, force_variance_error : ndarray or None
+        Variance over contacts of the force of one over k (length^2), and its error
+        estimate; None if not asked for, where contacts stay in step for longer than the
+        grids can tell, or where a stationary one is infinite.
+    stage, X_error : ndarray or None
+        Of a slider that a stage pulls, in mean field: displacement of the stage's end
+        of the spring, and the error estimate of X, which is found with it (length).
+    """
+
+    drawn: ClassVar[Drawn] = Drawn(
+        "X", "force", "force_error", "displacement  X", "mean friction force  <F>/(N k)"
+    )
+    X: Array
     force: Array
     pinned: Array
     breaks: Array
     force_error: Array
     pinned_error: Array
-    variance: Array
-    variance_error: Array
+    t: Array
+    force_variance: Array | None = None
+    force_variance_error: Array | None = None
+    stage: Array | None = None
+    X_error: Array | None = None
 
 
 def with_drag(
+    grid: Grid,
     values: Array,
     errors: Array,
     drag: Array,
+    drag_error: Array | float,
     unit: float,
     breaks: Array,
-    drag_error: Array | float = 0.0,
-) -> Means:
+) -> Transient:
     """Means with the viscous force `drag` of each detached contact, which may miss the
     mean force by `drag_error`, from the force, the pinned share and the variance without
     it, shape (3, points), and their errors; lengths in units of `unit`."""
@@ -441,67 +456,54 @@ def with_drag(
     error = errors[0] + np.abs(drag) * errors[1] + drag_error
     variance = spread + drag * detached * (drag * pinned - 2.0 * force)
     variance_error = errors[2] + drag**2 * errors[1] + 2.0 * np.abs(total) * error
-    squares = variance * unit**2, variance_error * unit**2
-    return Means(total * unit, pinned, breaks, error * unit, errors[1], *squares)
+    return Transient(
+        X=grid.X,
+        force=total * unit,
+        pinned=pinned,
+        breaks=breaks,
+        force_error=error * unit,
+        pinned_error=errors[1],
+        t=grid.t,
+        force_variance=variance * unit**2,
+        force_variance_error=variance_error * unit**2,
+    )
 
 
-def means_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Means:
-    """Solve the renewal equation along a programme (derived).
-
-    Parameters
-    ----------
-    ensemble : Ensemble
-    programme : Programme
-    grid : Grid
-        The instants asked for.
-
-    Returns
-    -------
-    Means
-
-    Raises
-    ------
-    InputError
-        For what has no reference along a programme, and programmes that take too many
-        steps.
-    """
+def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transient:
+    """Solve the renewal equation along a programme at the instants of a grid (derived).
+    Raises InputError for what has no reference along a programme, and programmes that
+    take too many steps."""
     contacts, course = course_of(ensemble, programme)
     unit, time = ensemble.thresholds.scale, grid.t[-1]
-    kinks, solved = solve(contacts, course)
-    at, (edges, found) = np.minimum(grid.t / time, 1.0), solved[-1]
+    kinks, edges, solved = solve(contacts, course)
+    t, finest = np.minimum(grid.t / time, 1.0), solved[-1]
     smooth = np.searchsorted(edges, kinks) if contacts.law.steps.size else None
-    grids = [np.array(found[:3]) for _, found in solved]
-    best, errors = _without_steps(edges, grids, smooth)
+    grids = [np.array(history[:3]) for history in solved]
+    best, errors = _extrapolated_means(edges, grids, smooth)
     # a variance, which between edges is nearer to a straight line
     best[2] -= best[0] ** 2
-    values, breaks = np.zeros((3, at.size)), np.zeros(at.size)
-    first, here = 0, 0
+    values, breaks = np.zeros((3, t.size)), np.zeros(t.size)
+    first, done = 0, 0
     for kink in kinks:  # smooth up to the next
         last = np.searchsorted(edges, kink)
-        there = np.searchsorted(at, kink * (1.0 + 1e-12), side="right")
-        if there > here:
+        there = np.searchsorted(t, kink * (1.0 + 1e-12), side="right")
+        if there > done:
             piece = slice(first, last + 1)
-            t, smooth_means = edges[piece], best[:, piece]
-            inside = np.clip(at[here:there], t[0], t[-1])
-            interpolate = Akima1DInterpolator(t, smooth_means, axis=1)
-            values[:, here:there] = interpolate(inside)
-            errors[:, piece] += _between_steps(t, smooth_means)
-            rate = np.diff(found.breaks[piece]) / np.diff(t)
-            breaks[here:there] = np.interp(inside, 0.5 * (t[1:] + t[:-1]), rate)
-        first, here = last, there
-    missed = np.array([np.interp(at, edges, error) for error in errors])
+            x, means = edges[piece], best[:, piece]
+            inside = np.clip(t[done:there], x[0], x[-1])
+            values[:, done:there] = Akima1DInterpolator(x, means, axis=1)(inside)
+            # a bound: what interpolation between every other edge misses at the rest
+            rough = Akima1DInterpolator(x[::2], means[:, ::2], axis=1)(x)
+            errors[:, piece] += largest_nearby(rough - means, 5)
+            rate = np.diff(finest.breaks[piece]) / np.diff(x)
+            breaks[done:there] = np.interp(inside, 0.5 * (x[1:] + x[:-1]), rate)
+        first, done = last, there
+    missed = np.array([np.interp(t, edges, error) for error in errors])
     drag = drag_of(ensemble, unit / time) * course.velocity[grid.segment]
-    return with_drag(values, missed, drag, unit, breaks / time)
+    return with_drag(grid, values, missed, drag, 0.0, unit, breaks / time)
 
 
-def _between_steps(t: Array, values: Array) -> Array:
-    """A bound on what interpolation between times misses, at these, shape (means,
-    times): what one between every other of them misses at the rest, nearby too."""
-    rough = Akima1DInterpolator(t[::2], values[:, ::2], axis=1)(t)
-    return largest_nearby(rough - values, 5)
-
-
-def _without_steps(
+def _extrapolated_means(
     edges: Array, grids: list[Array], jumps: Array | None
 ) -> tuple[Array, Array]:
     """The values of no step at all at the edges of the finest of three grids, and their
@@ -512,24 +514,25 @@ def _without_steps(
     as much (derived).
     """
     rough, coarse, fine = grids
-    once, twice = (
-        extrapolated(rough, coarse[:, ::2]),
-        extrapolated(coarse, fine[:, ::2]),
-    )
-    index = np.arange(fine.shape[1])
+    once = extrapolated(rough, coarse[:, ::2])
+    twice = extrapolated(coarse, fine[:, ::2])
     missed = 2.0 * largest_nearby(twice[:, ::2] - once, 5 + rough.shape[1] // 20)
     missed = np.maximum(missed, _CARRIED * missed.max(axis=1, keepdims=True))
-    best, errors = np.zeros_like(fine), np.zeros_like(fine)
-    share = np.diff(edges)[:-1] / (edges[2:] - edges[:-2])
-    for j in range(fine.shape[0]):
-        change = twice[j] - fine[j, ::2]
-        best[j] = fine[j] + np.interp(index / 2, index[: change.size], change)
-        errors[j] = np.interp(index / 4, index[: rough.shape[1]], missed[j])
-        errors[j] += _RESOLVED * np.abs(best[j]).max()
-        # equal thresholds that break together within a step, other than at known instants
-        if jumps is not None:
-            straight = best[j, :-2] + (best[j, 2:] - best[j, :-2]) * share
-            bent = np.pad(2.0 * (best[j, 1:-1] - straight), 1)
-            bent[jumps] = 0.0
-            errors[j] += largest_nearby(bent, 9)
+    index = np.arange(fine.shape[1])
+
+    def on_finest(values: Array, ratio: int) -> Array:
+        rows = [np.interp(index, index[::ratio], row) for row in values]
+        return np.array(rows)
+
+    best = fine + on_finest(twice - fine[:, ::2], 2)
+    errors = on_finest(missed, 4)
+    errors += _TABLE_ERROR * np.abs(best).max(axis=1, keepdims=True)
+    # equal thresholds that break together within a step, other than at known instants
+    if jumps is not None:
+        share = np.diff(edges)[:-1] / (edges[2:] - edges[:-2])
+        straight = best[:, :-2] + (best[:, 2:] - best[:, :-2]) * share
+        bent = np.zeros_like(best)
+        bent[:, 1:-1] = 2.0 * (best[:, 1:-1] - straight)
+        bent[:, jumps] = 0.0
+        errors += largest_nearby(bent, 9)
     return best, errors

@@ -22,10 +22,11 @@ from eqsim.errors import InputError, require_number, under
 from eqsim.estimate import Estimate, known
 from eqsim.laws.aging import Unaged
 from eqsim.master import characteristic, kicks
+from eqsim.master.characteristic import NO_VALUE, Mode, mode
 from eqsim.master.profile import SmoothLife, profile_of
 from eqsim.master.programme import course_of
 from eqsim.master.steady import reference, settled
-from eqsim.master.transient import convolved, from_birth, means_of, middle_half
+from eqsim.master.transient import after, from_birth, middle_half, renewal_of
 from eqsim.model.drive import Drive, Programme, Segment, Stage, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, pull_of, reduced
@@ -38,11 +39,11 @@ NEUTRAL = "no perturbation grows or decays: without heat, aging and delay fricti
 
 # Length of the fresh transient in mean lives; cells of its coarsest grid in the middle
 # half of the ends of lives.
-_LIVES = 8.0
-_PER_WIDTH = 40.0
-# Fewest and most cells.
-_LEAST = 1000
-_MOST = 40_000
+_MEAN_LIVES = 8.0
+_CELLS_PER_WIDTH = 40.0
+# Fewest and most cells of the coarsest grid.
+_COARSEST_GRID = 1000
+_FINEST_GRID = 40_000
 # Points in the smallest slip of discrete thresholds, and chords from it to twice its
 # length.
 _PER_SLIP = 100.0
@@ -51,14 +52,14 @@ _CHORDS = 60
 # these differ by.
 _NEAR = 401
 # Cells of the coarser grid around an extremum within which two grids are compared.
-_AROUND = 4.0
+_COMPARED_CELLS = 4.0
 # Error of the place of a steepest fall, in cells, where slopes are all but even.
-_FLAT = 0.1
+_EVEN_SLOPE = 0.1
 # Panels of a life narrower than this in ln x surround an infinite density of
 # thresholds.
 _SINGULAR = 1e-6
 # Errors by which a rate, or a stiffness, must differ from a border.
-_CERTAIN = 2.0
+_SURE = 2.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -122,10 +123,8 @@ class Stability(Result):
         """Its numbers by name, those of the fresh start as fresh_critical_stiffness,
         ..."""
         names = ("critical_stiffness", "growth", "period")
-        fresh = self.fresh.estimates().items()
-        return {name: getattr(self, name) for name in names} | {
-            f"fresh_{name}": estimate for name, estimate in fresh
-        }
+        fresh = {f"fresh_{name}": x for name, x in self.fresh.estimates().items()}
+        return {name: getattr(self, name) for name in names} | fresh
 
     @property
     def fresh_slips(self) -> bool:
@@ -137,17 +136,16 @@ class Stability(Result):
     def fresh_verdict(self) -> str:
         """The way from a fresh start: "slips", "jumps" by less than a slip, "slides",
         or "undecided" where errors of the borders do not tell."""
-        if _beyond(self.stiffness, self.fresh.slip_stiffness) is None:
-            return "undecided"
-        if self.fresh_slips:
-            return "slips"
-        border = self.fresh.critical_stiffness
-        # of discrete thresholds, which make steps of any size
-        if self.fresh.slip_stiffness == border:
-            return "slides"
-        if _beyond(self.stiffness, border) is None:
-            return "undecided"
-        return "jumps" if self.stiffness < known(border) else "slides"
+        slip, jump = self.fresh.slip_stiffness, self.fresh.critical_stiffness
+        for border, below in ((slip, "slips"), (jump, "jumps")):
+            apart = self.stiffness - known(border)
+            if abs(apart) <= _SURE * (border.stderr or 0.0):
+                return "undecided"
+            if apart < 0.0:
+                return below
+            if slip == jump:  # of discrete thresholds, which make steps of any size
+                break
+        return "slides"
 
     @property
     def verdict(self) -> str:
@@ -160,19 +158,12 @@ class Stability(Result):
             unknown = border is not None and self.stiffness < border
             return "undecided" if unknown else "stable"
         error = self.growth.stderr or 0.0
-        if not self.growth.reliable or abs(self.growth.value) <= _CERTAIN * error:
+        if not self.growth.reliable or abs(self.growth.value) <= _SURE * error:
             return "undecided"
         return "unstable" if self.growth.value > 0.0 else "stable"
 
 
-def _beyond(stiffness: float, border: Estimate) -> bool | None:
-    """Judge whether a stiffness is beyond a border; None where the error of that does
-    not tell."""
-    apart = stiffness - known(border)
-    return None if abs(apart) <= _CERTAIN * (border.stderr or 0.0) else apart > 0.0
-
-
-class Pulled(NamedTuple):
+class SteadyPull(NamedTuple):
     """A run that has a stability: what is pulled, how fast, and by what."""
 
     ensemble: Ensemble
@@ -197,8 +188,16 @@ class Pulled(NamedTuple):
         """Whether its critical stiffness takes no mean-field runs."""
         return self.method != kicks.METHOD
 
+    def loops(self) -> list[characteristic.Loop]:
+        """The fine, the coarse and the scanned loop of the characteristic equation."""
+        contacts = reduced(self.ensemble, self.velocity)
+        with under("drive"):
+            pull = pull_of(self.ensemble, self.programme())
+        nodes = characteristic.FINE, characteristic.COARSE, characteristic.SCAN
+        return [characteristic.loop_of(contacts, pull, number) for number in nodes]
 
-def pulled_by(ensemble: Ensemble, drive: Drive | Programme) -> Pulled:
+
+def pulled_by(ensemble: Ensemble, drive: Drive | Programme) -> SteadyPull:
     """Raises InputError unless a stage moves in one direction at constant velocity, and
     contacts have a mean field."""
     if not isinstance(drive, Programme) or drive.stage is None:
@@ -209,7 +208,7 @@ def pulled_by(ensemble: Ensemble, drive: Drive | Programme) -> Pulled:
         raise InputError(
             "drive.programme: stability is that of a stage at one constant velocity > 0"
         )
-    pulled = Pulled(ensemble, drive.segments[0].velocity, drive.stage)
+    pulled = SteadyPull(ensemble, drive.segments[0].velocity, drive.stage)
     course_of(ensemble, pulled.programme())
     return pulled
 
@@ -259,18 +258,17 @@ def stability(
     ('neutral', 'slips')
     """
     pulled = pulled_by(ensemble, drive)
-    mode = _mode(pulled, progress)  # may refuse
-    fresh = fresh_slip(ensemble, Drive(pulled.velocity))
-    border = kicks.NO_VALUE
+    slowest = _mode(pulled, progress)  # may refuse
+    fresh, border = fresh_slip(ensemble, Drive(pulled.velocity)), NO_VALUE
     if critical or (critical is None and pulled.quick):
         border = critical_stiffness(pulled, progress)
     return Stability(
-        pulled.velocity, pulled.stage.stiffness, fresh, border, *mode, pulled.method
+        pulled.velocity, pulled.stage.stiffness, fresh, border, *slowest, pulled.method
     )
 
 
 def critical_stiffness(
-    pulled: Pulled, progress: Callable[[int, float], None] = lambda *_: None
+    pulled: SteadyPull, progress: Callable[[int, float], None] = lambda *_: None
 ) -> Estimate:
     """kappa_s below which steady sliding is unstable; 0 where it never is. Raises
     InputError."""
@@ -278,83 +276,52 @@ def critical_stiffness(
         return Estimate(0.0, 0.0, 0)
     if pulled.method == kicks.METHOD:
         return kicks.border_by_kicks(*pulled, progress)
-    fine, coarse, scan = _loops(pulled)
-    found = characteristic.border_of(fine, scan).stiffness
-    if math.isinf(found):
+    fine, coarse, scan = pulled.loops()
+    stiffness = characteristic.border_of(fine, scan).stiffness
+    if math.isinf(stiffness):
         return Estimate(math.inf, 0.0, 0)
     rough = characteristic.border_of(coarse, scan).stiffness
-    return Estimate(found, abs(found - rough) + 1e-12, 0)
+    return Estimate(stiffness, abs(stiffness - rough) + 1e-12, 0)
 
 
 def border(
-    pulled: Pulled,
+    pulled: SteadyPull,
     velocities: Sequence[float],
     *,
     critical: bool = True,
     progress: Callable[[int, float], None] = lambda *_: None,
 ) -> dict[str, Array]:
-    """Critical stiffnesses over velocity.
-
-    Parameters
-    ----------
-    velocities : sequence of float
-        Of the stage (length/time).
-    critical : bool
-        Whether to look for that of steady sliding, too.
-    progress : callable
-        Called with (done, total) after each velocity.
-
-    Returns
-    -------
-    dict of ndarray, shape (velocities,)
-        velocity, critical_stiffness and fresh_critical_stiffness, the last two also
-        with _error; NaN where there is none.
-
-    Raises
-    ------
-    InputError
-    """
-    names = "critical_stiffness", "critical_stiffness_error"
-    table = {name: np.empty(len(velocities)) for name in ("velocity", *names)}
-    table |= {f"fresh_{name}": np.empty(len(velocities)) for name in names}
-    for row, velocity in enumerate(velocities):
+    """Critical stiffnesses at velocities of the stage, of steady sliding only if
+    `critical`, and of a fresh start, by column, with errors; NaN where there is none.
+    `progress(done, total)` counts velocities. Raises InputError."""
+    stiffness = "critical_stiffness", "critical_stiffness_error"
+    names = "velocity", *stiffness, *(f"fresh_{name}" for name in stiffness)
+    rows = []
+    for velocity in velocities:
         require_number("velocity", velocity, above=0.0)
-        here = pulled._replace(velocity=float(velocity))
-        found = critical_stiffness(here) if critical else kicks.NO_VALUE
-        fresh = fresh_slip(here.ensemble, Drive(velocity)).critical_stiffness
-        values = velocity, found.value, found.stderr, fresh.value, fresh.stderr
-        for column, value in zip(table.values(), values, strict=True):
-            column[row] = math.nan if value is None else value
-        progress(row + 1, len(velocities))
-    return table
+        other = pulled._replace(velocity=float(velocity))
+        steady = critical_stiffness(other) if critical else NO_VALUE
+        fresh = fresh_slip(other.ensemble, Drive(other.velocity)).critical_stiffness
+        rows.append((velocity, steady.value, steady.stderr, fresh.value, fresh.stderr))
+        progress(len(rows), len(velocities))
+    # None becomes NaN
+    return dict(zip(names, np.array(rows, float).reshape(-1, 5).T, strict=True))
 
 
-def _loops(pulled: Pulled) -> list[characteristic.Loop]:
-    contacts = reduced(pulled.ensemble, pulled.velocity)
-    with under("drive"):
-        pull = pull_of(pulled.ensemble, pulled.programme())
-    nodes = characteristic.FINE, characteristic.COARSE, characteristic.SCAN
-    return [characteristic.loop_of(contacts, pull, number) for number in nodes]
-
-
-def _mode(pulled: Pulled, progress: Callable[[int, float], None]) -> kicks.Mode:
+def _mode(pulled: SteadyPull, progress: Callable[[int, float], None]) -> Mode:
     """The slowest perturbation of steady sliding."""
     if pulled.method == NEUTRAL:
-        return kicks.Mode(Estimate(0.0, 0.0, 0), kicks.NO_VALUE)
+        return Mode(Estimate(0.0, 0.0, 0), NO_VALUE)
     if pulled.method == kicks.METHOD:
         return kicks.mode_of(*pulled, progress)
-    fine, coarse, scan = _loops(pulled)
-    found = characteristic.root_of(fine, scan, pulled.stage.stiffness)
-    if found is None:
-        return kicks.Mode(kicks.NO_VALUE, kicks.NO_VALUE)
-    rough = characteristic.nearest_root(coarse, found, pulled.stage.stiffness)
+    (fine, coarse, scan), stiffness = pulled.loops(), pulled.stage.stiffness
+    p = characteristic.root_of(fine, scan, stiffness)
+    if p is None:
+        return Mode(NO_VALUE, NO_VALUE)
+    rough = [*characteristic.roots_from(coarse, np.array([p]), stiffness), p][0]
     rate = pulled.velocity / pulled.ensemble.thresholds.scale
-    error = abs(found - rough) + 1e-9 * abs(found)
-    growth = Estimate(found.real * rate, error * rate, 0)
-    if found.imag <= 1e-9 * abs(found):
-        return kicks.Mode(growth, kicks.NO_VALUE)
-    period = 2.0 * math.pi / (found.imag * rate)
-    return kicks.Mode(growth, Estimate(period, period * error / found.imag, 0))
+    size = abs(p) * rate
+    return mode(p * rate, abs(p - rough) * rate + 1e-9 * size, 1e-9 * size)
 
 
 def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
@@ -399,188 +366,163 @@ def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
     contacts, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
     steady = reference(ensemble, drive)
     friction, error = known(steady.friction), steady.friction.stderr or 0.0
-    distance = _LIVES * known(steady.travel) / unit
+    distance = _MEAN_LIVES * known(steady.travel) / unit
     least, level = least_slip(ensemble.thresholds) / unit, friction / unit
     profile = profile_of(contacts)
     if profile.jumps or not isinstance(profile, SmoothLife):
-        return _of_steps(contacts, distance, least, level, unit)
-    ways = _on_three_grids(profile, contacts, distance)
-    rough, fine = _between_grids(*ways[:2]), _between_grids(*ways[1:])
-    fall, fall_X, unknown = _steepest(fine, contacts)
-    other, other_X, _ = _steepest(rough, contacts)
-    highest, highest_X = _highest(fine)
+        return _of_discrete(contacts, distance, least, level, unit)
+    # cells resolve how sharply lives end
+    quick, slow = middle_half(profile)
+    wanted = _CELLS_PER_WIDTH * distance / max(slow - quick, 1e-300)
+    cells = 4 * int(min(max(wanted, _COARSEST_GRID), _FINEST_GRID))
+    x = distance / cells * np.arange(cells + 1)
+    ways = [_way(profile, x[::n], contacts) for n in (4, 2, 1)]
+    rough, fine = ways[0].refined(ways[1]), ways[1].refined(ways[2])
+    fall, fall_X, unknown = fine.steepest()
+    other, other_X, _ = rough.steepest()
+    highest, highest_X = fine.highest()
     critical = Estimate(math.inf, 0.0, 0)
     if math.isfinite(fall):
         beside = _apart(rough.x, rough.later_slope, fine.later_slope, fall_X)
         missed = max(abs(fall - other), beside) + unknown
         missed += profile.error * max(highest, fall)
         critical = Estimate(max(fall, 0.0), missed, 0)
-    place = abs(fall_X - other_X) + _FLAT * fine.x[1]
-    X = Estimate(fall_X * unit, place * unit, 0)
+    missed = (abs(fall_X - other_X) + _EVEN_SLOPE * fine.x[1]) * unit
+    X = Estimate(fall_X * unit, missed, 0) if fall > 0.0 else NO_VALUE
     ratio = max(highest, level) / level
     beside = _apart(rough.x, rough.later, fine.later, highest_X)
-    missed = max(abs(highest - _highest(rough)[0]), beside) / level
+    missed = max(abs(highest - rough.highest()[0]), beside) / level
     missed += ratio * (profile.error + error / friction)
-    slip, _ = _chord([rough, fine], least, profile.error * highest)
-    X = X if fall > 0.0 else kicks.NO_VALUE
+    forces = rough.force, fine.force
+    slip, _ = _chord(forces, distance, least, profile.error * highest)
     return FreshSlip(critical, X, Estimate(ratio, missed, 0), slip)
 
 
-def _of_steps(
+def _of_discrete(
     contacts: Reduced, distance: float, least: float, level: float, unit: float
 ) -> FreshSlip:
     """`fresh_slip` of contacts that break together; lengths in units of `unit`, which
     force and X are told in."""
-    cells = 4 * int(min(max(0.25 * _PER_SLIP * distance / least, _LEAST), _MOST))
+    wanted = 0.25 * _PER_SLIP * distance / least
+    cells = 4 * int(min(max(wanted, _COARSEST_GRID), _FINEST_GRID))
     x = distance * np.linspace(0.0, 1.0, cells + 1)
     profile = profile_of(contacts, x)
-    grids = x[::2], x
-    courses = [_Course(x, means_of(profile, x, contacts).force) for x in grids]
-    rough, highest = (float(course.force.max()) for course in courses)
-    slip, X = _chord(courses, least, profile.error * highest)
+    forces = [renewal_of(profile, edges, contacts).force for edges in (x[::2], x)]
+    rough, highest = (float(force.max()) for force in forces)
+    slip, X = _chord(forces, distance, least, profile.error * highest)
     # between two points a force rises by no more than the contacts are stiff
     missed = abs(highest - rough) + profile.error * highest
     missed += float(x[1] * np.abs(profile.at(x[1:2])[1]).max())
     ratio = Estimate(max(highest, level) / level, missed / level, 0)
     place = Estimate(X * unit, 2.0 * float(x[1]) * unit, 0)
-    return FreshSlip(slip, place if known(slip) > 0.0 else kicks.NO_VALUE, ratio, slip)
-
-
-class _Course(NamedTuple):
-    """A force over equidistant displacements."""
-
-    x: Array
-    force: Array
+    return FreshSlip(slip, place if known(slip) > 0.0 else NO_VALUE, ratio, slip)
 
 
 def _chord(
-    courses: Sequence["_Course | _Way"], least: float, missed: float
+    forces: Sequence[Array], distance: float, least: float, missed: float
 ) -> tuple[Estimate, float]:
     """The steepest fall of a force over a displacement of `least` or more, and where it
-    begins.
+    begins, from two grids, the finer one last; forces may miss `missed` besides the
+    difference of the grids.
 
     A chord of twice that length or more has a half that is as steep. Where a jump is
     between points its chord may be longer or shorter by one of them.
-
-    Parameters
-    ----------
-    courses : two _Course or _Way
-        On two grids, the finer one last.
-    missed : float
-        What forces may miss besides the difference of the grids.
     """
-    falls, places = [], []
-    for course in courses:
-        x, F = course.x, course.force
-        first = math.ceil(least / x[1] * (1.0 - 1e-9))
-        last = min(2 * first, x.size - 1)
-        shifts = np.append(first + 1, np.linspace(first, last, _CHORDS)).astype(int)
-        slopes = [(F[:-n] - F[n:]) / (n * x[1]) for n in np.unique(shifts)]
-        falls.append(np.array([slope.max() for slope in slopes]))
-        # the first of equal ones, as contacts in step have
-        steepest = slopes[int(np.argmax(falls[-1]))]
-        places.append(float(x[np.argmax(steepest >= (1.0 - 1e-6) * steepest.max())]))
-    best, rough = float(falls[-1].max()), float(falls[0].max())
-    beside = abs(float(falls[-1][0] - falls[-1][1]))
-    error = abs(best - rough) + 2.0 * beside + 2.0 * missed / least
-    return Estimate(max(best, 0.0), error, 0), places[-1]
+    (rough, _), (falls, X) = (
+        _steepest_falls(force, distance, least) for force in forces
+    )
+    best, beside = float(falls.max()), abs(float(falls[0] - falls[1]))
+    error = abs(best - float(rough.max())) + 2.0 * beside + 2.0 * missed / least
+    return Estimate(max(best, 0.0), error, 0), X
+
+
+def _steepest_falls(force: Array, distance: float, least: float) -> tuple[Array, float]:
+    """The steepest fall over each of a range of displacements from `least` on, and
+    where the steepest of all begins."""
+    h = distance / (force.size - 1)
+    first = math.ceil(least / h * (1.0 - 1e-9))
+    last = min(2 * first, force.size - 1)
+    shifts = np.append(first + 1, np.linspace(first, last, _CHORDS)).astype(int)
+    slopes = [(force[:-n] - force[n:]) / (n * h) for n in np.unique(shifts)]
+    falls = np.array([slope.max() for slope in slopes])
+    # the first of equal ones, as contacts in step have
+    steepest = slopes[int(np.argmax(falls))]
+    return falls, h * float(np.argmax(steepest >= (1.0 - 1e-6) * steepest.max()))
 
 
 class _Way(NamedTuple):
-    """A fresh transient on a uniform grid of edges x, arrays (cells + 1,): the force,
-    and the force that contacts born on the way carry, with its slope."""
+    """A fresh transient on a uniform grid of edges x: a life, the viscous force that a
+    contact loses when it is pinned again, and, arrays (cells + 1,), the force, and the
+    force that contacts born on the way carry, with its slope."""
 
     profile: SmoothLife
+    drag: float
     x: Array
     force: Array
     later: Array
     later_slope: Array
 
+    def refined(self, better: "_Way") -> "_Way":
+        """At its edges, extrapolated as of second order with a grid of half the cell."""
+        pairs = zip(self[3:], better[3:], strict=True)
+        columns = [extrapolated(a, b[::2]) for a, b in pairs]
+        return _Way(self.profile, self.drag, self.x, *columns)
 
-def _on_three_grids(
-    profile: SmoothLife, contacts: Reduced, distance: float
-) -> list[_Way]:
-    """Ever finer ones; cells resolve how sharply lives end."""
-    quick, slow = middle_half(profile)
-    wanted = _PER_WIDTH * distance / max(slow - quick, 1e-300)
-    cells = int(min(max(wanted, _LEAST), _MOST))
-    x = distance / (4 * cells) * np.arange(4 * cells + 1)
-    return [_way(profile, x[::step], contacts) for step in (4, 2, 1)]
+    def steepest(self) -> tuple[float, float, float]:
+        """Largest -dF/dx, infinite where a density of thresholds is, where it is, and
+        what the life's panels may miss."""
+        later = CubicSpline(self.x, self.later_slope)
+
+        def falls(at: Array) -> Array:
+            slope = self.profile.slope(at, 1).value[1]
+            if self.drag:
+                slope = slope - self.drag * self.profile.slope(at).value[0]
+            return np.asarray(-(slope + later(at)))
+
+        fall, X, edge = self._greatest(falls)
+        near = self.profile.slope(np.array([edge]), 1)
+        if near.width[0] < _SINGULAR:
+            return math.inf, X, 0.0
+        return fall, X, float(near.missed[1, 0])
+
+    def highest(self) -> tuple[float, float]:
+        """The largest force, also at kinks between edges, and where it is."""
+        later = CubicSpline(self.x, self.later)
+        return self._greatest(lambda x: self.profile.at(x, 1)[1] + later(x))[:2]
+
+    def _greatest(
+        self, function: Callable[[Array], Array]
+    ) -> tuple[float, float, float]:
+        """The largest value of a function of displacement, where it is, and the nearest
+        edge or kink: of these all, and of points between the neighbours of the largest."""
+        lives = self.profile.x
+        kinks = lives[(lives > 1e-6 * self.x[-1]) & (lives < self.x[-1])]
+        edges = np.union1d(kinks, self.x[1:])
+        i = int(np.argmax(function(edges)))
+        low, high = edges[max(i - 1, 0)], edges[min(i + 1, edges.size - 1)]
+        near = np.append(edges[i], np.linspace(low, high, _NEAR))
+        values = function(near)
+        j = int(np.argmax(values))
+        return float(values[j]), float(near[j]), float(edges[i])
 
 
 def _way(profile: SmoothLife, x: Array, contacts: Reduced) -> _Way:
-    means = means_of(profile, x, contacts)
-    births = means.breaks + np.diff(means.pinned) / x[1]
+    renewal, drag = renewal_of(profile, x, contacts), 0.0
+    if contacts.delay.mean:
+        drag = contacts.drag
+    births = renewal.births
     first = from_birth(profile, contacts, x, 1)
-    survive = np.append(1.0, profile.at(x[1:])[0])
-    carried = first - _drag_before_birth(contacts) * survive
+    carried = first - drag * np.append(1.0, profile.at(x[1:])[0])
     at_edges = 0.5 * (np.append(births[0], births) + np.append(births, births[-1]))
-    slope = np.append(0.0, convolved(births, np.diff(carried))[: x.size - 1])
-    slope += carried[0] * at_edges
-    return _Way(profile, x, means.force, means.force - first, slope)
-
-
-def _drag_before_birth(contacts: Reduced) -> float:
-    """The viscous force that a contact loses when it is pinned again."""
-    return contacts.drag if contacts.delay.mean else 0.0
-
-
-def _between_grids(coarse: _Way, better: _Way) -> _Way:
-    """At the edges of the coarser grid, extrapolated as of second order."""
-    pairs = zip(coarse[2:], better[2:], strict=True)
-    columns = [extrapolated(a, b[::2]) for a, b in pairs]
-    return _Way(coarse.profile, coarse.x, *columns)
-
-
-def _steepest(way: _Way, contacts: Reduced) -> tuple[float, float, float]:
-    """Largest -dF/dx, infinite where a density of thresholds is, where it is, and what
-    the life's panels may miss."""
-    profile, drag = way.profile, _drag_before_birth(contacts)
-    later = CubicSpline(way.x, way.later_slope)
-
-    def falls(at: Array) -> Array:
-        slope = profile.slope(at, 1).value[1]
-        if drag:
-            slope = slope - drag * profile.slope(at).value[0]
-        return np.asarray(-(slope + later(at)))
-
-    steepest, X, edge = _greatest(falls, way)
-    here = profile.slope(np.array([edge]), 1)
-    if here.width[0] < _SINGULAR:
-        return math.inf, X, 0.0
-    return steepest, X, float(here.missed[1, 0])
-
-
-def _highest(way: _Way) -> tuple[float, float]:
-    """The largest force, also at kinks between edges, and where it is."""
-    later = CubicSpline(way.x, way.later)
-    return _greatest(lambda x: way.profile.at(x, 1)[1] + later(x), way)[:2]
-
-
-def _greatest(
-    function: Callable[[Array], Array], way: _Way
-) -> tuple[float, float, float]:
-    """The largest value of a function of displacement, where it is, and the nearest
-    edge or kink: of these all, and of points between the neighbours of the largest."""
-    lives = way.profile.x
-    kinks = lives[(lives > 1e-6 * way.x[-1]) & (lives < way.x[-1])]
-    at = np.union1d(kinks, way.x[1:])
-    values = function(at)
-    i = int(np.argmax(values))
-    near = np.linspace(at[max(i - 1, 0)], at[min(i + 1, at.size - 1)], _NEAR)
-    closer = function(near)
-    j = int(np.argmax(closer))
-    if closer[j] > values[i]:
-        return float(closer[j]), float(near[j]), float(at[i])
-    return float(values[i]), float(at[i]), float(at[i])
+    slope = after(births, np.diff(carried)) + carried[0] * at_edges
+    return _Way(profile, drag, x, renewal.force, renewal.force - first, slope)
 
 
 def _apart(x: Array, rough: Array, fine: Array, X: float) -> float:
     """Find how far splines through values at edges `x` of one grid and at every one of
     another, finer one differ around X: next to a kink by several times what the finer
     one misses, though not everywhere."""
-    near = np.clip(X + _AROUND * x[1] * np.linspace(-1.0, 1.0, 33), 0.0, x[-1])
+    near = np.clip(X + _COMPARED_CELLS * x[1] * np.linspace(-1.0, 1.0, 33), 0.0, x[-1])
     edges = np.linspace(0.0, x[-1], fine.size)
-    return float(
-        np.abs(CubicSpline(edges, fine)(near) - CubicSpline(x, rough)(near)).max()
-    )
+    apart = CubicSpline(edges, fine)(near) - CubicSpline(x, rough)(near)
+    return float(np.abs(apart).max())

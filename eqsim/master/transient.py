@@ -10,23 +10,20 @@ of births at y, births B and breaks Gamma per contact and unit displacement obey
 
 with * the convolution over [0, X] (renewal form of Q5a, Q5aG and Q6 of Braun and
 Peyrard, 2011). Births are spread evenly over each cell of a uniform grid and every
-integral over S and m is exact, so that lives much shorter than a cell are no trouble;
-the scheme is of second order, of first where most lives are shorter than a cell. Two
-grids give the result, extrapolated as of second order, and their difference an error
-that covers either: with an error e of the coarser grid e/3 is left at first order, and
-the difference is e/2.
+integral over S and m is exact. The scheme is of second order, of first where most
+lives are shorter than a cell. Two grids give the result, extrapolated as of second
+order, and their difference an error that covers either order.
 
-But contacts that started together may stay in step for many cycles: identical ones
-always, and all whose lives are short beside a fixed delay. Harmonic k of their births
-keeps a share |phi(k)|^m after m cycles, phi(k) = E[exp(i k x_b)] (derived), of which
-births spread over cells h lose what has k h sqrt(m) > 1. The cells are made short
-enough for what is in step, and where they cannot be the share that may still be in step
-is part of the error.
+Contacts that started together may stay in step for many cycles: identical ones, and all
+whose lives are short beside a fixed delay. Harmonic k of their births keeps a share
+|phi(k)|^m after m cycles, phi(k) = E[exp(i k x_b)] (derived), of which births spread
+over cells h lose what has k h sqrt(m) > 1. Cells are short enough for what is in step;
+where they cannot be, the share that may still be in step is part of the error.
 """
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy import fft
@@ -34,9 +31,10 @@ from scipy.interpolate import CubicSpline
 
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import known
-from eqsim.laws.delay import Exponential, Fixed
+from eqsim.laws.delay import Fixed
 from eqsim.master import programme, slider
 from eqsim.master.profile import Profile, profile_of
+from eqsim.master.programme import Transient as Transient
 from eqsim.master.quenched import integrals_beyond
 from eqsim.master.steady import reference, settled
 from eqsim.model.drive import Drive, Programme, require_drive
@@ -47,7 +45,7 @@ from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
 
 # A cell of the coarser grid in units of the typical threshold.
-_CELL = 0.02
+_CELL_PER_THRESHOLD = 0.02
 # Fewest and most cells of the coarser grid.
 _LEAST_CELLS = 500
 _MOST_CELLS = 10_000
@@ -57,54 +55,13 @@ _FINER = 4
 # k h sqrt(m) that two grids still tell.
 _BLURRED = 1.5
 # The share in step beyond it that they may miss.
-_RESOLVED = 0.3
+_MISSED_IN_STEP = 0.3
 # Length of the circle in transients.
-_AROUND = 6
+_CIRCLE = 6
 # What remains of the next turn of it.
 _WRAPPED = 1e-13
 # A stretch beyond any.
 _EVERYTHING = np.array([1e90])
-
-
-@dataclass(frozen=True, repr=False)
-class Transient(Result):
-    """Exact means over independent contacts on the way, arrays of shape (points,).
-
-    Attributes
-    ----------
-    X, t : ndarray
-        Displacement (length) and time.
-    force, force_error : ndarray
-        <F>/(N k) and its error estimate (length).
-    pinned, pinned_error : ndarray
-        Fraction of pinned contacts and its error estimate.
-    breaks : ndarray
-        Gamma, breaks per contact and unit displacement (1/length); along a programme,
-        which may hold, per unit time (1/time), and in the mean over a step of the
-        solver.
-    force_variance, force_variance_error : ndarray or None
-        Variance over contacts of the force of one over k (length^2), and its error
-        estimate; None if not asked for, where contacts stay in step for longer than the
-        grids can tell, or where a stationary one is infinite.
-    stage, X_error : ndarray or None
-        Of a slider that a stage pulls, in mean field: displacement of the stage's end
-        of the spring, and the error estimate of X, which is found with it (length).
-    """
-
-    drawn: ClassVar[Drawn] = Drawn(
-        "X", "force", "force_error", "displacement  X", "mean friction force  <F>/(N k)"
-    )
-    X: Array
-    force: Array
-    pinned: Array
-    breaks: Array
-    force_error: Array
-    pinned_error: Array
-    t: Array
-    force_variance: Array | None = None
-    force_variance_error: Array | None = None
-    stage: Array | None = None
-    X_error: Array | None = None
 
 
 def transient(
@@ -152,32 +109,39 @@ def transient(
     """
     require_integer("points", points, 2, 10**8)
     if isinstance(drive, Programme):
-        return _along(ensemble, drive, points, variance)
+        grid = drive.grid(points)
+        solve = slider.pulled_of if drive.stage else programme.means_along
+        means = solve(ensemble, drive, grid)
+        if variance:
+            return means
+        return replace(means, force_variance=None, force_variance_error=None)
     require_drive(drive)
+    spread: tuple[Array | None, Array | None] = (None, None)
     s, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
     distance = drive.over(ensemble) / unit
     require_number("distance / threshold", distance, least=1e-100, most=1e100)
     if drive.start == "stationary":
-        return _steady(ensemble, drive, points, variance)
+        return _level(ensemble, drive, points, variance)
     cells = cells_of(s, distance, points)
-    solved = [means_of(cells.profile, cells.x[::step], s) for step in (2, 1)]
+    solved = [renewal_of(cells.profile, cells.x[::step], s) for step in (2, 1)]
     X, edges = np.linspace(0.0, distance, points), cells.x[::2]
-    # up to which the mean may rise while all are in step
+    # up to which the means may rise while all are in step
     strongest = np.maximum.accumulate(np.abs(from_birth(cells.profile, s, edges, 1)))
-    delayed, means = s.delay.mean > 0, []
-    loudest_of = np.maximum(strongest, s.drag * delayed), 1.0 * delayed
-    for coarse, better, loudest in zip(
-        *(way[:2] for way in solved), loudest_of, strict=True
-    ):
-        best, error = _with_error(coarse, better[::2], cells, loudest)
-        if points > edges.size:
-            error += _between_edges(best)
-        means += [np.interp(X, edges, best), np.interp(X, edges, error)]
-    force, force_error, pinned, pinned_error = means
+    detached = float(s.delay.mean > 0)
+    loudest = np.maximum(strongest, s.drag * detached), np.full(edges.size, detached)
+    coarse, fine = (np.array((way.force, way.pinned)) for way in solved)
+    best, error = _with_error(coarse, fine[:, ::2], cells, loudest)
+    if points > edges.size:
+        error += _bend(best, 3)
+    force, pinned, force_error, pinned_error = _interpolated(X, edges, *best, *error)
     pairs = solved[1].breaks  # of cells; a pair of fine ones is a coarse one
     pairs = np.maximum((pairs[0::2] + pairs[1::2]) / 2, 0.0)
     breaks = np.interp(X, cells.x[1::2], pairs)
-    found = Transient(
+    if variance and not cells.in_step.any():
+        square, missed = _interpolated(X, edges, *_squares(cells, s, solved))
+        missed += 2 * force * force_error
+        spread = (square - force**2) * unit**2, missed * unit**2
+    return Transient(
         X=X * unit,
         force=force * unit,
         pinned=pinned,
@@ -185,39 +149,23 @@ def transient(
         force_error=force_error * unit,
         pinned_error=pinned_error,
         t=X * unit / drive.velocity,
-    )
-    if not variance or cells.in_step.any():
-        return found
-    squares, error = (np.interp(X, edges, part) for part in _squares(cells, s, solved))
-    return replace(
-        found,
-        force_variance=(squares - force**2) * unit**2,
-        force_variance_error=(error + 2 * force * force_error) * unit**2,
+        force_variance=spread[0],
+        force_variance_error=spread[1],
     )
 
 
-def _along(
-    ensemble: Ensemble, drive: Programme, points: int, variance: bool
-) -> Transient:
-    """Along a programme."""
-    grid, pulled = drive.grid(points), None
-    if drive.stage:
-        pulled = slider.pulled_of(ensemble, drive, grid)
-    means = pulled.means if pulled else programme.means_of(ensemble, drive, grid)
-    found = Transient(pulled.X if pulled else grid.X, *means[:5], grid.t)
-    if pulled:
-        found = replace(found, stage=pulled.stage, X_error=pulled.X_error)
-    if not variance:
-        return found
-    spread, error = means.variance, means.variance_error
-    return replace(found, force_variance=spread, force_variance_error=error)
+def _interpolated(X: Array, x: Array, *rows: Array) -> list[Array]:
+    """Values at points X on straight lines between those at x."""
+    return [np.interp(X, x, row) for row in rows]
 
 
-def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Transient:
+def _level(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Transient:
     """A stationary start: nothing changes."""
     exact, level = reference(ensemble, drive, variance=variance), np.ones(points)
     X, pinned = np.linspace(0.0, drive.over(ensemble), points), known(exact.pinned)
-    found = Transient(
+    square, error = exact.force_variance, exact.force_variance.stderr or 0.0
+    seen = variance and square.value is not None and not square.diverges
+    return Transient(
         X=X,
         force=known(exact.friction) * level,
         pinned=pinned * level,
@@ -225,13 +173,8 @@ def _steady(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Tr
         force_error=(exact.friction.stderr or 0.0) * level,
         pinned_error=(exact.pinned.stderr or 0.0) * level,
         t=X / drive.velocity,
-    )
-    spread = exact.force_variance
-    if not variance or spread.value is None or spread.diverges:
-        return found
-    error = (spread.stderr or 0.0) * level
-    return replace(
-        found, force_variance=spread.value * level, force_variance_error=error
+        force_variance=known(square) * level if seen else None,
+        force_variance_error=error * level if seen else None,
     )
 
 
@@ -250,7 +193,7 @@ class Cells(NamedTuple):
 def cells_of(contacts: Reduced, distance: float, points: int) -> Cells:
     """Cells that resolve what has to be resolved on the way, as far as possible."""
     discrete = contacts.law.steps.size > 0
-    least = min(max(distance / _CELL, _LEAST_CELLS), _MOST_CELLS)
+    least = min(max(distance / _CELL_PER_THRESHOLD, _LEAST_CELLS), _MOST_CELLS)
     finest = _FINEST
     if discrete:  # every threshold takes time in every cell
         finest //= 4 * np.unique(contacts.law.steps).size
@@ -263,8 +206,9 @@ def cells_of(contacts: Reduced, distance: float, points: int) -> Cells:
         profile = smooth or profile_of(contacts, fine)
         in_step, around = _in_step(profile, contacts, fine[::2])
         least *= _FINER
-        if in_step.max() <= _RESOLVED or least > finest:
-            return Cells(profile, fine, in_step * (in_step.max() > _RESOLVED), around)
+        told = in_step.max() <= _MISSED_IN_STEP
+        if told or least > finest:
+            return Cells(profile, fine, in_step * (not told), around)
 
 
 def middle_half(profile: Profile) -> tuple[float, float]:
@@ -276,25 +220,24 @@ def middle_half(profile: Profile) -> tuple[float, float]:
 def _in_step(profile: Profile, contacts: Reduced, x: Array) -> tuple[Array, int]:
     """The share of contacts that may be in step at each edge `x` of a grid that blurs
     it, and `Cells.around`."""
-    h = x[1]
-    broken = -np.diff(profile.survive, prepend=1.0)
+    h, delay = x[1], contacts.delay.mean
     quick, slow = middle_half(profile)
-    cycle = contacts.delay.mean + slow
+    cycle = delay + slow
     highest, count = max(100.0 / quick, 200.0 / cycle), 400 if profile.jumps else 50
     k = np.geomspace(2 * math.pi / cycle, highest, count)
+    broken = -np.diff(profile.survive, prepend=1.0)
     many = broken > 1e-8
-    broken, width = broken[many], np.diff(profile.x, prepend=0.0)[many]
+    width = np.diff(profile.x, prepend=0.0)[many]
     phase = np.outer(k, profile.x[many] - 0.5 * width)
     # lives that last for many waves are out of step
     seen = (np.outer(k, width) < 1.0) | profile.jumps
-    together = np.abs(np.where(seen, np.exp(1j * phase), 0.0) @ broken)
+    together = np.abs(np.where(seen, np.exp(1j * phase), 0.0) @ broken[many])
     together *= contacts.delay.coherence(k)
     together = np.minimum(np.maximum.accumulate(together[::-1])[::-1], 1.0)
-    m = np.maximum(x / cycle, 1.0)
-    at = np.searchsorted(k, _BLURRED / (h * np.sqrt(m)))
-    share = together[np.minimum(at, k.size - 1)] ** m
-    share[0] = 0.0
-    around, delay = 0, contacts.delay.mean
+    cycles = np.maximum(x / cycle, 1.0)
+    blurred = np.searchsorted(k, _BLURRED / (h * np.sqrt(cycles)))
+    share = together[np.minimum(blurred, k.size - 1)] ** cycles
+    share[0], around = 0.0, 0
     if profile.jumps:
         around = 2 + math.ceil(4 * math.sqrt(x[-1] / (6 * (delay + quick))))
         if around * h < min(quick, delay or quick):
@@ -305,21 +248,22 @@ def _in_step(profile: Profile, contacts: Reduced, x: Array) -> tuple[Array, int]
 def from_birth(profile: Profile, contacts: Reduced, x: Array, power: int) -> Array:
     """E[(k_i/k)^p (y + x)^p; l > x], p = `power`, at edges `x` from 0, where it is 0
     without births y."""
-    found = profile.at(np.append(x[1] * 1e-9, x[1:]), power)[power]
-    found[0] *= contacts.newborn.active
-    return found
+    means = profile.at(np.append(x[1] * 1e-9, x[1:]), power)[power]
+    means[0] *= contacts.newborn.active
+    return means
 
 
-class _Means(NamedTuple):
-    """Force and pinned at the edges of a uniform grid of cells, breaks in each cell per
-    unit displacement."""
+class Renewal(NamedTuple):
+    """Force and pinned at the edges of a uniform grid of cells h, breaks and births in
+    each cell per unit displacement."""
 
     force: Array
     pinned: Array
     breaks: Array
+    births: Array
 
 
-def means_of(profile: Profile, x: Array, contacts: Reduced) -> _Means:
+def renewal_of(profile: Profile, x: Array, contacts: Reduced) -> Renewal:
     """Solve the renewal equation on a uniform grid of edges `x` from 0.
 
     By generating functions: with w of the chance to be still detached, d = 1 - (1 - z)
@@ -328,85 +272,93 @@ def means_of(profile: Profile, x: Array, contacts: Reduced) -> _Means:
     < 1 where hardly anything comes around.
     """
     cells, h = x.size - 1, x[1]
-    survive = np.append(1.0, profile.at(x[1:])[0])
-    first = from_birth(profile, contacts, x, 1)
-    size = fft.next_fast_len(_AROUND * cells, real=True)
+    survive = profile.at(x[1:])[0]
+    size = fft.next_fast_len(_CIRCLE * cells, real=True)
     damping = _WRAPPED ** (np.arange(cells) / size)
 
-    def transform(part: Array) -> Array:
-        return np.asarray(fft.rfft(part * damping, size))
+    def transform(values: Array) -> Array:
+        return np.asarray(fft.rfft(values * damping, size))
 
     def back(product: Array) -> Array:
         return np.asarray(fft.irfft(product, size)[:cells] / damping)
 
-    means = [np.diff(profile.integral(x, power)[power]) / h for power in (0, 1)]
+    means = (np.diff(profile.integral(x, power)[power]) / h for power in (0, 1))
     alive, work = map(transform, means)
     waiting = transform(contacts.delay.waiting(h, cells))
     turns = np.exp(-2j * math.pi / size * np.arange(waiting.size))
     z = _WRAPPED ** (1.0 / size) * turns
     reborn = 1.0 - (1.0 - z) * waiting
-    breaks = transform(1.0 - survive[1:]) / (waiting + reborn * alive)
+    breaks = transform(1.0 - survive) / (waiting + reborn * alive)
     detached = np.append(0.0, back(waiting * breaks))
-    force = first + np.append(0.0, back(reborn * breaks * work))
-    return _Means(force + contacts.drag * detached, 1.0 - detached, back(breaks) / h)
+    force = from_birth(profile, contacts, x, 1)
+    force += np.append(0.0, back(reborn * breaks * work)) + contacts.drag * detached
+    per_length = back(breaks) / h
+    births = per_length - np.diff(detached) / h
+    return Renewal(force, 1.0 - detached, per_length, births)
+
+
+def after(events: Array, response: Array) -> Array:
+    """At edges of cells, the convolution of `events` in each cell with the response to
+    these so many cells later."""
+    size = fft.next_fast_len(2 * events.size - 1, real=True)
+    product = fft.rfft(events, size) * fft.rfft(response, size)
+    return np.append(0.0, fft.irfft(product, size)[: events.size])
 
 
 def _squares(
-    cells: Cells, contacts: Reduced, solved: list[_Means]
+    cells: Cells, contacts: Reduced, solved: list[Renewal]
 ) -> tuple[Array, Array]:
     """Mean square of the force of a contact at the edges of the coarser grid, and its
     error: as the mean force, with E[(k_i/k)^2 (y + x)^2; l > x] in the place of m
     (derived)."""
-    found, profile = [], cells.profile
-    for step, means in zip((2, 1), solved, strict=True):
+    squares, profile = [], cells.profile
+    for step, renewal in zip((2, 1), solved, strict=True):
         x = cells.x[::step]
-        births = means.breaks + np.diff(means.pinned) / x[1]
         first = from_birth(profile, contacts, x, 2)
-        later = convolved(births, np.diff(profile.integral(x, 2)[2]))[: x.size - 1]
-        waiting = contacts.drag**2 * (1.0 - means.pinned)
-        found.append((first + np.append(0.0, later) + waiting)[:: 3 - step])
-    best, missed = _without_cells(*found)
+        later = after(renewal.births, np.diff(profile.integral(x, 2)[2]))
+        waiting = contacts.drag**2 * (1.0 - renewal.pinned)
+        squares.append((first + later + waiting)[:: 3 - step])
+    best, missed = _without_cells(*squares)
     error = missed + profile.error * np.abs(best)
-    return best, error + _beside_jumps(found[0]) if profile.jumps else error
+    return best, error + _bend(squares[0], 5) if profile.jumps else error
 
 
 def _without_cells(coarse: Array, better: Array) -> tuple[Array, Array]:
-    """The value of no cell width from those at the same edges of two grids, and what
+    """The values of no cell width from those at the same edges of two grids, and what
     the coarser one missed, nearby too."""
-    missed = largest_nearby(better - coarse, (coarse.size - 1) // 20)
+    missed = largest_nearby(better - coarse, (coarse.shape[-1] - 1) // 20)
     return extrapolated(coarse, better), missed
 
 
 def _with_error(
-    coarse: Array, better: Array, cells: Cells, loudest: Array | float
+    coarse: Array, better: Array, cells: Cells, loudest: tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    """A mean that may be as great as `loudest` while all contacts are in step, and its
-    error.
+    """Means, shape (means, edges), that may be as great as `loudest` while all contacts
+    are in step, and their errors.
 
     Errors of a life are passed on by its births, so that they scale with the largest
     mean so far.
     """
     best, missed = _without_cells(coarse, better)
-    error = missed + cells.profile.error * np.maximum.accumulate(np.abs(best))
+    largest = np.maximum.accumulate(np.abs(best), axis=1)
+    error = missed + cells.profile.error * largest
     if cells.profile.jumps:
         # jumps that cells blur, in twice as many steps of half the length, differ by
         # 0.083 of their height
         blurred = 8 * largest_nearby(better - coarse, cells.around)
-        error += np.maximum(_beside_jumps(coarse), blurred)
-    return best, error + np.maximum(np.ptp(best), loudest) * cells.in_step
+        error += np.maximum(_bend(coarse, 5), blurred)
+    height = np.maximum(np.ptp(best, axis=1, keepdims=True), loudest)
+    return best, error + height * cells.in_step
 
 
-def _beside_jumps(values: Array) -> Array:
-    """Bound how much a jump nearby changes `values`, where equal thresholds break
-    together: the truth is somewhere between both sides. Of the steady rise between
-    jumps nothing counts, as it is known."""
-    return largest_nearby(np.pad(np.diff(values, 2), 1, "edge"), 5)
-
-
-def _between_edges(values: Array) -> Array:
-    """A bound of what straight lines between equidistant values miss: their curvature
-    eightfold."""
-    return largest_nearby(np.pad(np.diff(values, 2), 1, "edge"), 3)
+def _bend(values: Array, points: int) -> Array:
+    """The largest second difference nearby, along the last axis. Where equal thresholds
+    break together the truth is somewhere between both sides of a jump, of whose height
+    the steady rise between jumps is no part; of smooth values it is eight times what
+    straight lines between them miss."""
+    bends = np.diff(values, 2)
+    ends = (bends[..., :1], bends, bends[..., -1:])
+    return largest_nearby(np.concatenate(ends, axis=-1), points)
 
 
 @dataclass(frozen=True, repr=False)
@@ -485,25 +437,25 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     mean, pinned = known(exact.friction) / unit, known(exact.pinned)
     cells = cells_of(s, distance / unit, points)
     profile, solved = cells.profile, []
-    beyond, missed_beyond = _beyond(profile, s)
+    beyond, missed_beyond = np.zeros((2, 3, 3))
+    if not s.newborn.active:  # of these the profile's error has it
+        end, alive = float(profile.x[-1]), float(profile.survive[-1])
+        beyond, missed_beyond = integrals_beyond(s, end, alive)
+    # int_0^inf y^power (S, k1, k2) dy
+    total = beyond + [profile.integral(_EVERYTHING, power)[:, 0] for power in range(3)]
     for step in (2, 1):
         x = cells.x[::step]
-        means = means_of(profile, x, s)
         # int_x^inf y^power (S, k1, k2) dy
-        totals = [
-            profile.integral(_EVERYTHING, power) + beyond[power][:, None]
-            for power in range(3)
-        ]
         rest = [
-            total - profile.integral(x, power) for power, total in enumerate(totals)
+            total[power][:, None] - profile.integral(x, power) for power in range(3)
         ]
         # int_x^inf y (y - x) k2 dy of those that survive, and int_x^inf (y - x) k1 dy,
         # whose decrease weighs breaks by the force they had at the beginning
         surviving = rest[2][2] - x * rest[1][2]
         carried = rest[1][1] - x * rest[0][1]
         breaks = (carried[:-1] - carried[1:]) / cycle  # in each cell, times force
-        after, detached = _reborn(means.force, x, s)
-        back = np.append(0.0, convolved(breaks, np.diff(after) / x[1])[: x.size - 1])
+        late, detached = _reborn(renewal_of(profile, x, s).force, x, s)
+        back = after(breaks, np.diff(late)) / x[1]
         waiting = s.drag * (1.0 - pinned) * detached
         solved.append((surviving / cycle + back + waiting - mean**2)[:: 3 - step])
     best, missed = _without_cells(*solved)
@@ -516,63 +468,28 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     # by another quadrature, as far as there is one
     error += abs(best[0] - known(exact.force_variance) / unit**2)
     if points > best.size:
-        error += _between_edges(best)
+        error += _bend(best, 3)
     lag = np.linspace(0.0, distance, points)
-    x = cells.x[::2]
-    columns = [np.interp(lag / unit, x, part) * unit**2 for part in (best, error)]
-    return Fluctuations(lag, *columns)
-
-
-def _beyond(profile: Profile, contacts: Reduced) -> tuple[Array, Array]:
-    """`integrals_beyond` the end of a profile; nothing of contacts born stretched,
-    whose profile has the difference from moments of whole lives in its error."""
-    if contacts.newborn.active:
-        return np.zeros((3, 3)), np.zeros((3, 3))
-    return integrals_beyond(contacts, float(profile.x[-1]), float(profile.survive[-1]))
-
-
-def convolved(a: Array, b: Array) -> Array:
-    """The convolution of two sequences."""
-    length = a.size + b.size - 1
-    size = fft.next_fast_len(length, real=True)
-    return np.asarray(fft.irfft(fft.rfft(a, size) * fft.rfft(b, size), size)[:length])
+    values, errors = _interpolated(lag / unit, cells.x[::2], best, error)
+    return Fluctuations(lag, values * unit**2, errors * unit**2)
 
 
 def _reborn(fresh: Array, x: Array, contacts: Reduced) -> tuple[Array, Array]:
     """Integral of the mean force from a break on, and mean force of a contact found
-    detached, from the mean force `fresh` of one just pinned."""
-    total = CubicSpline(x, fresh).antiderivative()
-    if contacts.delay.mean == 0:
+    detached, from the mean force `fresh` of a contact just pinned."""
+    spline, drag, delay = CubicSpline(x, fresh), contacts.drag, contacts.delay.mean
+    total = spline.antiderivative()
+    if delay == 0.0:
         return total(x), np.zeros_like(x)
-    reborn = _REBORN[type(contacts.delay)]
-    return reborn(fresh, x, total, contacts.delay.mean, contacts.drag)
-
-
-def _after_fixed(
-    fresh: Array, x: Array, total: Any, delay: float, drag: float
-) -> tuple[Array, Array]:
-    """`_reborn` after delays of the same length; `total` is the integral of `fresh`."""
-    late = total(np.maximum(x - delay, 0.0))
-    left = np.maximum(1.0 - x / delay, 0.0)
-    force = drag * left + (total(x) - late) / delay
-    return drag * np.minimum(x, delay) + late, force
-
-
-def _after_exponential(
-    fresh: Array, x: Array, total: Any, delay: float, drag: float
-) -> tuple[Array, Array]:
-    """`_reborn` after exponential delays."""
-    from scipy.signal import lfilter  # takes long to import
-
+    if isinstance(contacts.delay, Fixed):
+        late = total(np.maximum(x - delay, 0.0))
+        force = drag * np.maximum(1.0 - x / delay, 0.0) + (total(x) - late) / delay
+        return drag * np.minimum(x, delay) + late, force
     # y' = (fresh - y)/delay, the mean force of those already pinned again, with fresh
     # linear in each cell
     ratio = x[1] / delay
-    keep, first = math.exp(-ratio), -math.expm1(-ratio)
-    slope = 1.0 - first / ratio
-    gained = (first - slope) * fresh[:-1] + slope * fresh[1:]
-    y = lfilter([1.0], [1.0, -keep], np.append(0.0, gained))
-    fading = np.exp(-x / delay)
+    newest, fading = -math.expm1(-ratio), np.exp(-x / delay)
+    slope = 1.0 - newest / ratio
+    gained = (newest - slope) * fresh[:-1] + slope * fresh[1:]
+    y = after(gained, fading[:-1])
     return drag * delay * (1.0 - fading) + total(x) - delay * y, drag * fading + y
-
-
-_REBORN = {Fixed: _after_fixed, Exponential: _after_exponential}

@@ -6,7 +6,7 @@ import numpy as np
 
 from eqsim.engine.records import Trajectory, extreme
 from eqsim.estimate import Estimate, known
-from eqsim.master.peak import WINDOW, Peak, tip, top_of, vertex
+from eqsim.master.peak import PEAK_WINDOW, Peak, tip, top_of, vertex
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 
@@ -23,7 +23,7 @@ def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | N
     if drive.start == "stationary":
         return None
     period = ensemble.thresholds.rms
-    size = int(np.searchsorted(found.X, WINDOW * period, side="right"))
+    size = int(np.searchsorted(found.X, PEAK_WINDOW * period, side="right"))
     X, force, stderr = (
         column[:size] for column in (found.X, found.force, found.force_stderr)
     )
@@ -53,7 +53,7 @@ def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | N
         math.hypot(error, missed),
     )
     reliable = (
-        found.force_reliable and float(np.ptp(near)) < _PLATEAU * WINDOW * period
+        found.force_reliable and float(np.ptp(near)) < _PLATEAU * PEAK_WINDOW * period
     )  # else the largest of many
     reliable &= missed < _KINK * height  # else a later one may be higher between points
     lives = found.lives
