@@ -182,9 +182,7 @@ def test_covariance_of_a_profile_that_ends(name, stiffness, monkeypatch):
     by more than a thousandth of it; the quoted error knows, as the variance is found by
     another quadrature."""
     law, moment = LAWS[name]
-    monkeypatch.setattr(
-        transients, "_beyond", lambda *_: (np.zeros((3, 3)), np.zeros((3, 3)))
-    )
+    monkeypatch.setattr(transients, "integrals_beyond", lambda *_: np.zeros((2, 3, 3)))
     found = fluctuations(
         Ensemble(law, stiffness_law=stiffness), Drive(0.1, distance=3.0), points=4
     )

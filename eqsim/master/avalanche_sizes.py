@@ -10,7 +10,8 @@ K). With coupled blocks the same is true of the sum over blocks, whatever elasti
 response shares that out. An avalanche is then the progeny of one break, or the
 customers of a busy period of the queue M/G/1 with load rho and service d:
 
-    P(s) = E[exp(-t) t^(s-1)]/s!,        t = rho (d_1 + ... + d_s)/<d>,        <s> = 1/(1 - rho) = 1 + N k_t/K.
+    P(s) = E[exp(-t) t^(s-1)]/s!,    t = rho (d_1 + ... + d_s)/<d>,
+    <s> = 1/(1 - rho) = 1 + N k_t/K.
 """
 
 from typing import NamedTuple
@@ -46,8 +47,8 @@ def size_law(
     law: ThresholdLaw, load: float, most: int, stiffness: StiffnessLaw = "uniform"
 ) -> Array:
     """P(1), ..., P(most), shape (most,), to 1e-10 (thresholds whose law has gaps:
-    1e-4), at the `load` rho, in (0, 1); `most` up to 20000. Raises InputError for values
-    out of range."""
+    1e-4), at the `load` rho, in (0, 1); `most` up to 20000. Raises InputError for
+    values out of range."""
     require_number("load", load, above=0.0, most=1.0)
     require_integer("most", most, 1, _LARGEST_SIZE)
     points = 1 << (4 * most + 60).bit_length()

@@ -8,7 +8,8 @@ perturbations obey, all per N k,
     m p^2 + eta_s p + kappa_s + Z(p) = 0,
     Z(p) = beta (1 - D) (drag (1 - P) - q M)/(1 - D P) + eta_l p (1 - pinned),
 
-    P = E[exp(-q xi)],   M = E[(k_i/k) (1 - exp(-q xi) (1 + q xi))/q^2],   q = p/V,   D = E[exp(-p delay)],
+    P = E[exp(-q xi)],   M = E[(k_i/k) (1 - exp(-q xi) (1 + q xi))/q^2],
+    q = p/V,   D = E[exp(-p delay)],
     beta = 1/(C + V tau),   drag = eta_l V,   pinned = beta C,
 
 where births answer to breaks as b = D Gamma, Gamma = p beta (1 - P)/(1 - D P) being the
@@ -75,7 +76,7 @@ _AT_ROOT = 1e-9
 # Decays faster than so many per cycle are not looked for.
 _FASTEST_DECAY = 4.0
 
-# An estimate of what there is none of.
+# An estimate without a value.
 NO_VALUE = Estimate(None, None, 0)
 
 
@@ -148,7 +149,8 @@ def loop_of(contacts: Reduced, pull: Pull, nodes: Nodes) -> Loop:
         xi, share, kappa = different_steps(contacts)
         if xi.size == 1 and isinstance(delay, Fixed):
             raise InputError(
-                "thresholds: identical contacts with a fixed delay stay in step; no steady state"
+                "thresholds: identical contacts with a fixed delay stay in step; no "
+                "steady state"
             )
     else:
         even = np.linspace(-nodes.reach, nodes.reach, nodes.panels + 1)
@@ -191,12 +193,14 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
         if high / step > _SCAN_POINTS:
             if low == step:
                 raise InputError(
-                    f"delay.time: is {loop.delay.mean / mean:.3g} thresholds long; the border is out of reach"
+                    f"delay.time: is {loop.delay.mean / mean:.3g} thresholds long; the "
+                    "border is out of reach"
                 )
             if loop.mass == 0.0:
                 return best
             raise InputError(
-                "drive.stage: its damping is too small beside its mass to find the border of stability"
+                "drive.stage: its damping is too small beside its mass to find the "
+                "border of stability"
             )
         w = np.arange(low, high + step, step)
         Z = coarse.response(1j * w)
@@ -233,7 +237,7 @@ def _crossing(loop: Loop, low: float, high: float) -> Border:
 def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
     """The root of the characteristic equation with the largest real part, imaginary
     part >= 0; None if all decay faster than `_FASTEST_DECAY` per cycle. By Newton's
-    method from a grid of beginnings, with the nodes of `coarse`, then those of `loop`."""
+    method from a grid of beginnings, with nodes of `coarse`, then those of `loop`."""
     mean = float(loop.share @ loop.xi)
     stiff = float(loop.share @ loop.kappa)
     left = -_FASTEST_DECAY / loop.cycle
@@ -254,7 +258,7 @@ def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
 
 
 def roots_from(loop: Loop, p: Array, stiffness: float) -> Array:
-    """Roots that Newton's method reaches from p, shape (n,), those above the real axis."""
+    """Roots above the real axis that Newton's method reaches from p, shape (n,)."""
     roots = [p[:0]]
     with np.errstate(all="ignore"):
         for _ in range(_ROUNDS):

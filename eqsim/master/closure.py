@@ -6,8 +6,9 @@ X). Thresholds age by the Smoluchowski operator L (Braun and Peyrard, 2011, L, B
 = D/v, and whenever contacts break, newborn ones replace a share of the pool, Gamma_c
 being breaks per pinned contact and unit displacement:
 
-    dP_c/dX = D_v L P_c + Gamma_c(X) (P_ci - P_c),                         P_c(.; 0) = P_ci,
-    dQ/dX + dQ/dx = -P_T[P_c] Q,  P_T = P_c/J_c + (omega/v) h[P_c],        Q(0; X) = Gamma(X)        (Q5a, Q5aG)
+    dP_c/dX = D_v L P_c + Gamma_c(X) (P_ci - P_c),    P_c(.; 0) = P_ci
+    dQ/dX + dQ/dx = -P_T[P_c] Q,    Q(0; X) = Gamma(X)    (Q5a, Q5aG)
+    P_T = P_c/J_c + (omega/v) h[P_c]
 
 with friction = int x Q dx (Q6). Its stationary state is star1; D = 0 gives the
 transient of contacts that do not age.
@@ -137,16 +138,19 @@ def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
     law, aging, unit = ensemble.thresholds, ensemble.aging, ensemble.thresholds.scale
     if not isinstance(law, Gamma) or ensemble.disorder != "annealed":
         raise InputError(
-            'disorder, thresholds.law: the closure needs "annealed" contacts of law "gamma"'
+            'disorder, thresholds.law: the closure needs "annealed" contacts of '
+            'law "gamma"'
         )
     if ensemble.newborn.active:
         raise InputError(
-            f'newborn.law = "{ensemble.newborn.law}": the closure is that of contacts born unstretched'
+            f'newborn.law = "{ensemble.newborn.law}": the closure is that of contacts '
+            "born unstretched"
         )
     plain = ensemble.stiffness_law == "uniform" and ensemble.delay.time == 0
     if not plain or drive.start != "fresh":
         raise InputError(
-            'the closure needs contacts.stiffness_law = "uniform", no delay, and drive.start = "fresh"'
+            'the closure needs contacts.stiffness_law = "uniform", no delay, and '
+            'drive.start = "fresh"'
         )
     require_integer("points", points, 2, 10**6)
     reach = drive.over(ensemble) / unit
@@ -207,7 +211,8 @@ class AgedLaws:
                 break
         else:
             raise InputError(
-                f"x_star_final = {aging.final:g} x_star_initial: too far from it for thresholds of n = {n:g}"
+                f"x_star_final = {aging.final:g} x_star_initial: too far from it for "
+                f"thresholds of n = {n:g}"
             )
         self.widest = Gamma(n, math.exp(0.5 * high))
         # beyond, nothing survives
@@ -295,8 +300,8 @@ def _pooled_rate_of(law: Gamma, barrier: Barrier) -> Callable[[Array], Array]:
 
 
 def march_closure(pool: AgedLaws, h: float, cells: int) -> Array:
-    """Force, breaks per unit displacement and mean threshold, shape (3, cells + 1), on a
-    uniform grid of stretches, displacements and ages, of second order in the cell h.
+    """Force, breaks per unit displacement and mean threshold, shape (3, cells + 1), on
+    a uniform grid of stretches, displacements and ages, of second order in the cell h.
 
     ln E[j] is the survival to x_j of a contact born at X_i - x_j, so that E[i] is that
     of the fresh ones. Births are spread evenly over each cell; E is taken as

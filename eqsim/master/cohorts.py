@@ -2,11 +2,11 @@
 `master.programme` and `master.slider`.
 
 A cohort is the births of a step, spread evenly over it in time and displacement, or
-several of these joined. There are two kinds of contacts. Those that heat does not
-break, or all at the same rate (annealed), are `PooledContacts`, and stand here: what a cohort
-has undergone is the greatest |x|/g so far, of which the law of thresholds says how many
-it has broken mechanically, and a thermal survival. `master.fronts` has the others. What
-is the same of both is here: starts, births, which cohorts are joined, and sums.
+several of these joined. `PooledContacts`, which heat does not break, or all at the same
+rate (annealed), stand here: what a cohort has undergone is the greatest |x|/g so far,
+of which the law of thresholds says how many it has broken mechanically, and a thermal
+survival. `master.fronts` has the others. What is the same of both is here: starts,
+births, which cohorts are joined, and sums.
 """
 
 import math
@@ -72,8 +72,8 @@ DECISION.names = ("t", "first", "trials", "halvings", "instant")
 class Choices(NamedTuple):
     """Decisions of a solve, so that another one may repeat them, which makes it a
     smooth function of parameters: of each step, an array (edges + 1,) of DECISION; what
-    becomes of cohorts; and whether to repeat them. Otherwise they are noted, if there is
-    room."""
+    becomes of cohorts; and whether to repeat them. Otherwise they are noted, if there
+    is room."""
 
     steps: Array
     fates: Array
@@ -150,9 +150,9 @@ class Scratch(NamedTuple):
 
 
 class Cohorts(NamedTuple):
-    """All cohorts, an array (rows,) of COHORT; the integrated hazard z of nodes at their
-    first births, shape (rows, nodes); and the rows in use, from the oldest cohort on,
-    and then the others."""
+    """All cohorts, an array (rows,) of COHORT; the integrated hazard z of nodes at
+    their first births, shape (rows, nodes); and the rows in use, from the oldest cohort
+    on, and then the others."""
 
     rows: Array
     z: Array
@@ -374,7 +374,7 @@ def begin(contacts: Any, path: CohortPath, cohorts: Cohorts) -> tuple[int, float
 def _broken_by(
     path: CohortPath, breaks: Array, last: int, t: float, rate: float
 ) -> float:
-    """Breaks up to a time, not after edge `last`, from `rate` per unit time before 0."""
+    """Breaks up to a time, not after edge `last`; `rate` is that before time 0."""
     if t <= 0.0:
         return rate * t
     i = min(search(path.t, t, True), last) - 1

@@ -235,8 +235,8 @@ def _find_pinned_by_strata(
 
 @bear.register(Fronts)
 def _bear(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
-    """Find z of those born at the beginning of the step, which grows evenly in each of a
-    number of parts by age, and what is pinned. Where thresholds grow, a part is twice
+    """Find z of those born at the beginning of the step, which grows evenly in each of
+    a number of parts by age, and what is pinned. Where thresholds grow, a part is twice
     as long as that before."""
     cohort, z, scratch = cohorts.rows[row], cohorts.z[row], cohorts.scratch
     parts = _PARTS_OF_BIRTHS if contacts.growth.ages else 1

@@ -1,4 +1,4 @@
-"""How steady sliding through a spring answers to a small kick, in mean field (derived).
+"""The answer of steady sliding to a small kick of the spring, in mean field (derived).
 
 The slider starts in the stationary state, its spring stretched by a kick more than what
 balances friction, and again by as much less. Half the difference of the two
@@ -46,6 +46,7 @@ _STARTS = (1.0, 0.5, 0.25)
 _MOST_OCTAVES = 6
 _CLOSENESS = 2e-3
 
+# Called with (done, total).
 Told = Callable[[int, float], None]
 
 

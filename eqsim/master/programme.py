@@ -5,8 +5,9 @@ Of the contacts born at time s a share S(t|s) is still pinned at t, with the mea
 m(t|s) = (X(t) - X(s)) E[k_i/k; pinned]. Births B and breaks Gamma per contact and unit
 time obey
 
-    pinned(t) = S_0(t) + int_0^t B(s) S(t|s) ds,      friction = m_0(t) + int_0^t B(s) m(t|s) ds + (eta v/k)(1 - pinned)
-    without delay pinned = 1;      fixed delay: B(t) = Gamma(t - tau);      exponential delay: B = (1 - pinned)/tau
+    pinned(t) = S_0(t) + int_0^t B(s) S(t|s) ds
+    friction = m_0(t) + int_0^t B(s) m(t|s) ds + (eta v/k)(1 - pinned)
+    fixed delay: B(t) = Gamma(t - tau);    exponential delay: B = (1 - pinned)/tau
 
 A contact of threshold xi at birth, grown to xi g(age), breaks mechanically where |x| =
 xi g, so that the law of thresholds says how many have, given the greatest |x|/g so far.
@@ -249,7 +250,8 @@ def _edges_of_steps(
                 elapsed.append(elapsed[-1] + min(step, longest))
                 if len(t) + len(elapsed) > MOST_STEPS:
                     raise InputError(
-                        f"programme: takes more than {MOST_STEPS} steps of the renewal equation"
+                        f"programme: takes more than {MOST_STEPS} steps of the "
+                        "renewal equation"
                     )
             since += mark - begin
             stretched = np.array(elapsed[1:]) * ((mark - begin) / elapsed[-1])
@@ -264,14 +266,16 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
     """Dimensionless contacts, and what happens to them. Raises InputError."""
     if ensemble.self_consistent:
         raise InputError(
-            "aging: that of annealed contacts is defined at constant velocity only, not along a programme"
+            "aging: that of annealed contacts is defined at constant velocity only, "
+            "not along a programme"
         )
     if ensemble.fluctuates:
         raise InputError('rule = "langevin": has no reference along a programme')
     if ensemble.newborn.active:
         law = ensemble.newborn.law
         raise InputError(
-            f'newborn.law = "{law}": contacts born stretched have no reference along a programme or with a stage'
+            f'newborn.law = "{law}": contacts born stretched have no reference along '
+            "a programme or with a stage"
         )
     unit = ensemble.thresholds.scale
     time = sum(segment.duration for segment in programme.segments)
@@ -350,15 +354,16 @@ def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
         life = strongest * max(1.0, float(aging.growth_at(np.array([life / v]))[0]))
     if v and life > _MOST_COHORTS * width:
         raise InputError(
-            "programme: contacts whose thresholds are thousands of times the width of their law still matter, and have "
-            'no reference with start = "stationary"; start "fresh"'
+            "programme: contacts whose thresholds are thousands of times the width of "
+            "their law still matter, and have no reference with "
+            'start = "stationary"; start "fresh"'
         )
     return Numerics(contacts, course, typical, width, life)
 
 
 def solve(contacts: Reduced, course: Course) -> tuple[Array, Array, list[History]]:
-    """Times of kinks, and of the edges of the finest of three grids, each with twice the
-    steps of the one before; and the means on these grids."""
+    """Times of kinks, and of the edges of the finest of three grids, each with twice
+    the steps of the one before; and the means on these grids."""
     corners = np.append(0.0, course.ends)
     X = course.at(corners)
     numerics = numerics_of(contacts, course, float(np.ptp(X)) or math.inf)
@@ -448,8 +453,8 @@ def with_drag(
     breaks: Array,
 ) -> Transient:
     """Means with the viscous force `drag` of each detached contact, which may miss the
-    mean force by `drag_error`, from the force, the pinned share and the variance without
-    it, shape (3, points), and their errors; lengths in units of `unit`."""
+    mean force by `drag_error`, from the force, the pinned share and the variance
+    without it, shape (3, points), and their errors; lengths in units of `unit`."""
     force, pinned, spread = values
     detached = 1.0 - pinned
     total = force + drag * detached

@@ -137,9 +137,9 @@ def displaced(
 
         mass X'' + damping X' = net + gain t - stiffness X;
 
-    infinite where nothing holds it. Solved by the method Radau IIA of two stages (L-stable
-    and of third order; Hairer and Wanner, 1996, table IV.5.5), in pieces beside which the
-    motion is slow; the engine has closed forms, which its first guess is built on."""
+    infinite where nothing holds it. Solved by the method Radau IIA of two stages
+    (L-stable and of third order; Hairer and Wanner, 1996, table IV.5.5), in pieces
+    beside which the motion is slow; the engine has closed forms."""
     slow = damping + math.sqrt(mass * abs(stiffness))
     fast = abs(stiffness) * dt
     if stiffness <= 0.0 and (fast > _RUNAWAY * slow or damping + mass == 0.0):
@@ -190,8 +190,8 @@ def pull(
     if spring.in_balance:
         damping = spring.damping + spring.drag * (1.0 - history.pinned[0])
         Y[0] = (history.force[0] + damping * spring.velocity) / spring.stiffness
-    # in the last step: what breaks and births changed F by per dX (rho) and per time (r),
-    # the pinned share per time (q), and the acceleration
+    # of the last step: what breaks and births changed F by, per dX (rho) and per time
+    # (r), the change of the pinned share per time (q), and the acceleration
     rho, r, q, acceleration = 0.0, 0.0, 0.0, 0.0
     longest = _FIRST_OF_ALL * whole
     shortest = max(_STEP_PER_WIDTH * path.width, _LEAST_STEP * whole)
@@ -368,8 +368,8 @@ def force_of(
 ) -> Array:
     """The force at the instants of a grid by one solve, in the user's unit, shape
     (points,): that with fine = 1 takes a tenth of the time of `pulled_of`, and misses
-    about four times as much as that with fine = 2. With `choices`, those of `choices_of`
-    for other parameters, it has these where they serve. Raises TooManySteps if it takes
+    about four times as much as that with fine = 2. It repeats `choices`, those of
+    `choices_of` for other parameters, where they serve. Raises TooManySteps if it takes
     more than `most_steps`, and InputError as `pulled_of` does."""
     unit, time = ensemble.thresholds.scale, float(grid.t[-1])
     task = task_of(ensemble, programme, grid)
@@ -399,8 +399,8 @@ def choices_of(
 
 
 class PulledTask(NamedTuple):
-    """Task that is solved at any accuracy, with the instants asked for; steps end there,
-    and if `halved` in the middle between these, too."""
+    """Task that is solved at any accuracy, with the instants asked for; steps end
+    there, and if `halved` in the middle between these, too."""
 
     numerics: Numerics
     spring: Spring
@@ -409,7 +409,7 @@ class PulledTask(NamedTuple):
 
 
 def task_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> PulledTask:
-    """The task of a stage, with lengths in units of the law's scale. Raises InputError."""
+    """The task of a stage, lengths in units of the law's scale. Raises InputError."""
     stage = programme.stage
     assert stage is not None
     contacts, course = course_of(ensemble, programme)

@@ -1,4 +1,4 @@
-"""Whether a slider that a spring pulls slides steadily, or sticks and slips (derived).
+"""Stability of a slider that a spring pulls: steady sliding or stick-slip (derived).
 
 Two borders in kappa_s, the stiffness of the spring over that of all contacts. On the
 way from a fresh start friction overshoots, as contacts that began together break
@@ -35,7 +35,10 @@ from eqsim.numerics.quadrature import extrapolated
 from eqsim.numerics.tables import Array
 from eqsim.results import Result
 
-NEUTRAL = "no perturbation grows or decays: without heat, aging and delay friction is the same at any X(t)"
+NEUTRAL = (
+    "no perturbation grows or decays: without heat, aging and delay friction is the "
+    "same at any X(t)"
+)
 
 # Length of the fresh transient in mean lives; cells of its coarsest grid in the middle
 # half of the ends of lives.
@@ -171,7 +174,7 @@ class SteadyPull(NamedTuple):
     stage: Stage
 
     def programme(self) -> Programme:
-        """Some of it."""
+        """A drive over a mean threshold."""
         time = self.ensemble.thresholds.mean / self.velocity
         return Programme((Segment(self.velocity, time=time),), stage=self.stage)
 
@@ -198,8 +201,8 @@ class SteadyPull(NamedTuple):
 
 
 def pulled_by(ensemble: Ensemble, drive: Drive | Programme) -> SteadyPull:
-    """Raises InputError unless a stage moves in one direction at constant velocity, and
-    contacts have a mean field."""
+    """The pull of a run. Raises InputError unless a stage moves in one direction at
+    constant velocity, and contacts have a mean field."""
     if not isinstance(drive, Programme) or drive.stage is None:
         raise InputError(
             "drive.stage: is required; without a spring the slider moves as it is told"
@@ -463,7 +466,7 @@ class _Way(NamedTuple):
     later_slope: Array
 
     def refined(self, better: "_Way") -> "_Way":
-        """At its edges, extrapolated as of second order with a grid of half the cell."""
+        """Values extrapolated as of second order with those of half the cell."""
         pairs = zip(self[3:], better[3:], strict=True)
         columns = [extrapolated(a, b[::2]) for a, b in pairs]
         return _Way(self.profile, self.drag, self.x, *columns)
@@ -494,7 +497,7 @@ class _Way(NamedTuple):
         self, function: Callable[[Array], Array]
     ) -> tuple[float, float, float]:
         """The largest value of a function of displacement, where it is, and the nearest
-        edge or kink: of these all, and of points between the neighbours of the largest."""
+        edge or kink, of all these and points between the neighbours of the largest."""
         lives = self.profile.x
         kinks = lives[(lives > 1e-6 * self.x[-1]) & (lives < self.x[-1])]
         edges = np.union1d(kinks, self.x[1:])

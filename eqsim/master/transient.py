@@ -424,14 +424,16 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     distance = drive.over(ensemble)
     if s.aging.stiffens and s.stiffness == "sqrt":
         raise InputError(
-            'stiffness_law = "sqrt": fluctuations of aging quenched contacts need "uniform"'
+            'stiffness_law = "sqrt": fluctuations of aging quenched contacts need '
+            '"uniform"'
         )
     if ensemble.divergence:
         raise InputError(f"fluctuations: {ensemble.divergence}")
     exact = reference(ensemble, drive, variance=True)
     if exact.force_variance.value is None:
         raise InputError(
-            "fluctuations: the variance is not known of contacts born stretched whose law is this broad"
+            "fluctuations: the variance is not known of contacts born stretched whose "
+            "law is this broad"
         )
     cycle = known(exact.travel) / unit + s.delay.mean
     mean, pinned = known(exact.friction) / unit, known(exact.pinned)
