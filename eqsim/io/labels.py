@@ -115,7 +115,7 @@ def axis(
     stress, if it is known; `fractions`: whether stretches of the newborn are fractions
     of their thresholds."""
     entry = catalogue.entry(name)
-    if entry is None:
+    if entry is None or not entry.words:
         return plain(name)
     if _is_fraction(name, fractions):
         return f"{entry.words} over threshold"
@@ -134,7 +134,7 @@ def of_trajectory(x: str, units: Units) -> dict[str, str]:
 def symbol(name: str) -> str:
     """A key in a legend: its symbol, or its words if it has none."""
     entry = catalogue.entry(name)
-    return plain(name) if entry is None else entry.symbol or entry.words
+    return (entry and (entry.symbol or entry.words)) or plain(name)
 
 
 def plain(text: str) -> str:
