@@ -24,6 +24,7 @@ from eqsim.master.quenched import (
     different_steps,
     greatest_of,
     kappa_of,
+    panels_between_steps,
     rarest_that_counts,
     stiffness_of_survivors,
     thresholds_above,
@@ -125,12 +126,19 @@ def _born_at(contacts: Reduced, birth: Array, travel: Array) -> Array:
 def _over_steps(contacts: Reduced, birth: Array, travel: Array, least: Array) -> Array:
     """Sums over the thresholds of a discrete law above `least`."""
     of_threshold, growth = contacts.newborn.of == "threshold", contacts.aging.growth_at
+    grows = contacts.barrier.thermal and not contacts.aging.closed
+    edges = panels_between_steps(contacts) if grows else birth
     found = np.zeros((3 if of_threshold else 1, 3, birth.size))
     for xi, share, kappa in zip(*different_steps(contacts), strict=True):
         on = xi > least
         y, way, every = birth[on], travel[on], np.full(np.count_nonzero(on), xi)
         y = y * xi if of_threshold else y
-        alive = share * np.exp(-np.minimum(_passed(contacts, y, way, every), 700.0))
+        passed = (
+            flow.hazard_on(contacts, way, xi, edges)
+            if grows
+            else _passed(contacts, y, way, every)
+        )
+        alive = share * np.exp(-np.minimum(passed, 700.0))
         if contacts.aging.stiffens:
             kappa = flow.kappa_along(contacts, every, xi * growth(way))
         alive = kappa**_POWERS_OF_STRETCH * alive
