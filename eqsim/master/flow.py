@@ -41,6 +41,7 @@ from eqsim.master.quenched import (
 )
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
+from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
 # The first panels of a path, in phi. Nodes hold both ends of a panel, where the rate is
@@ -228,3 +229,12 @@ def hazard_along(contacts: Reduced, x: Array, xi0: Array) -> Array:
             per_u = rate_along(contacts, y, xi0.ravel()[part, None]) * y
             found[part] = per_u @ (_STEP_IN_U * special.expit(-u))
     return found.reshape(x.shape)
+
+
+def hazard_on(contacts: Reduced, x: Array, xi0: float, edges: Array) -> Array:
+    """`hazard_along` of one birth at many stretches x, shape (n,), by Gauss-Legendre
+    nodes between these and the `edges` of panels that resolve its rate."""
+    points = np.union1d(edges[edges < x.max(initial=0.0)], x)
+    y, weights = gauss_legendre(8).between(np.append(0.0, points[:-1]), points)
+    spent = (rate_along(contacts, y, np.asarray(xi0)) * weights).sum(axis=1).cumsum()
+    return np.asarray(spent[np.searchsorted(points, x)])

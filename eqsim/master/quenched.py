@@ -261,17 +261,8 @@ def beyond(contacts: Reduced) -> Array:
     e = np.array([0.95, 1.0]) * math.exp(_BIRTHS[-1])
     xi = np.asarray(contacts.law.inverse_survival(e)) / contacts.law.scale
     end = ends(contacts, xi)
-    early, late = (
-        np.array(
-            [
-                end,
-                0.5
-                * kappa_of(contacts, end if contacts.aging.stiffens else xi)
-                * end**2,
-            ]
-        )
-        * np.exp(-e)
-    ).T
+    kappa = kappa_of(contacts, end if contacts.aging.stiffens else xi)
+    early, late = (np.array([end, 0.5 * kappa * end**2]) * np.exp(-e)).T
     with np.errstate(divide="ignore", invalid="ignore"):
         rest = late * np.diff(e) / np.log(early / late)
     return np.where(late > 0, np.where(early > late, rest, np.inf), 0.0)
@@ -288,18 +279,15 @@ def integrals_beyond(contacts: Reduced, x: float, alive: float) -> tuple[Array, 
     shorten lives, at most by the fraction by which they have done so at x.
     """
     if contacts.law.steps.size or isinstance(contacts.law, (Gamma, PooledThresholds)):
-        return np.zeros((3, 3)), np.zeros(
-            (3, 3)
-        )  # rarer than exp(-45), and no power law
+        # rarer than exp(-45), and no power law
+        return np.zeros((3, 3)), np.zeros((3, 3))
     least = x / float(contacts.aging.growth_at(np.array([x]))[0])
     left = math.exp(-rank_above(contacts.law, least))
 
     def log_values(xi: Array) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
-            log_end, log_kappa = (
-                np.log(np.maximum(ends(contacts, xi) / x, 1.0)),
-                np.log(kappa_of(contacts, xi)),
-            )
+            log_end = np.log(np.maximum(ends(contacts, xi) / x, 1.0))
+            log_kappa = np.log(kappa_of(contacts, xi))
             powers = [
                 np.log(np.expm1((p + 1) * log_end) / (p + 1)) + (p + 1) * math.log(x)
                 for p in range(3)
@@ -307,16 +295,11 @@ def integrals_beyond(contacts: Reduced, x: float, alive: float) -> tuple[Array, 
         return np.array([power + j * log_kappa for power in powers for j in range(3)])
 
     share = min(max(alive / left, 0.0), 1.0)
-    found, error = (
-        share * part.reshape(3, 3)
-        for part in means_above(contacts.law, least, log_values)
-    )
-    return (
-        found,
-        error
-        if contacts.annealed or not contacts.barrier.thermal
-        else error + (1.0 - share) * found,
-    )
+    means = means_above(contacts.law, least, log_values)
+    found, error = (share * part.reshape(3, 3) for part in means)
+    if contacts.barrier.thermal and not contacts.annealed:
+        error = error + (1.0 - share) * found
+    return found, error
 
 
 def rarest_that_counts(barrier: Barrier) -> float:
@@ -401,14 +384,11 @@ def panels_between_steps(contacts: Reduced) -> Array:
     rate = 2.0 * (contacts.barrier.b if contacts.barrier.thermal else 0.0) * kappa * xi
     edges = [xi[0] * 2.0 ** -np.arange(1.0, 340.0)]
     for low, high, scale in zip(np.append(0.0, xi[:-1]), xi, rate, strict=True):
-        depth = 6 + math.ceil(math.log2(max(scale * (high - low), 1.0)))
-        edges.append(
-            high - (high - low) * np.append(2.0 ** -(np.arange(2 * depth) / 2), 0.0)
-        )
-        if low and high - low > low / 64:
-            edges.append(
-                low
-                + (high - low)
-                * 2.0 ** -np.arange(1.0, math.log2(64 * (high / low - 1.0)) + 1.0)
-            )
+        gap = high - low
+        depth = 6 + math.ceil(math.log2(max(scale * gap, 1.0)))
+        halved = 2.0 ** -(np.arange(2 * depth) / 2)
+        edges.append(high - gap * np.append(halved, 0.0))
+        if low and gap > low / 64:
+            last = math.log2(64 * (high / low - 1.0)) + 1.0
+            edges.append(low + gap * 2.0 ** -np.arange(1.0, last))
     return np.unique(np.concatenate(edges))

@@ -24,6 +24,7 @@ from eqsim.master.quenched import (
     different_steps,
     greatest_of,
     kappa_of,
+    panels_between_steps,
     rarest_that_counts,
     stiffness_of_survivors,
     thresholds_above,
@@ -112,28 +113,41 @@ def _born_at(contacts: Reduced, birth: Array, travel: Array) -> Array:
         least = np.maximum(np.abs(birth), birth + travel)
         least /= contacts.aging.growth_at(travel)
         share = np.maximum(law.sf(np.abs(birth) * law.scale), 1e-300)
-    over = _over_steps if law.steps.size else _over_thresholds
+    if law.steps.size:
+        return _over_steps(contacts, birth, travel, least) / share
     found = np.empty((3, 3, birth.size))
     for start in range(0, birth.size, _PAIRS_AT_ONCE):
         part = slice(start, start + _PAIRS_AT_ONCE)
-        found[:, :, part] = over(contacts, birth[part], travel[part], least[part])
+        every = birth[part], travel[part], least[part]
+        found[:, :, part] = _over_thresholds(contacts, *every)
     return found / share
 
 
 def _over_steps(contacts: Reduced, birth: Array, travel: Array, least: Array) -> Array:
     """Sums over the thresholds of a discrete law above `least`."""
-    found = np.zeros((3, 3, birth.size))
-    for xi, share, _ in zip(*different_steps(contacts), strict=True):
+    of_threshold, growth = contacts.newborn.of == "threshold", contacts.aging.growth_at
+    grows = contacts.barrier.thermal and not contacts.aging.closed
+    edges = panels_between_steps(contacts) if grows else birth
+    found = np.zeros((3 if of_threshold else 1, 3, birth.size))
+    for xi, share, kappa in zip(*different_steps(contacts), strict=True):
         on = xi > least
-        y, way = birth[on], travel[on]
-        y = y * xi if contacts.newborn.of == "threshold" else y
-        every = np.full(y.size, xi)
-        alive = share * np.exp(-np.minimum(_passed(contacts, y, way, every), 700.0))
-        kappa = flow.kappa_along(contacts, every, xi * contacts.aging.growth_at(way))
-        found[:, :, on] += (
-            (y + way) ** _POWERS_OF_STRETCH[:, None] * kappa**_POWERS_OF_STRETCH * alive
+        y, way, every = birth[on], travel[on], np.full(np.count_nonzero(on), xi)
+        y = y * xi if of_threshold else y
+        passed = (
+            flow.hazard_on(contacts, way, xi, edges)
+            if grows
+            else _passed(contacts, y, way, every)
         )
-    return found
+        alive = share * np.exp(-np.minimum(passed, 700.0))
+        if contacts.aging.stiffens:
+            kappa = flow.kappa_along(contacts, every, xi * growth(way))
+        alive = kappa**_POWERS_OF_STRETCH * alive
+        if of_threshold:
+            alive = (y + way) ** _POWERS_OF_STRETCH[:, None] * alive
+        found[:, :, on] += alive
+    if of_threshold:
+        return found
+    return np.asarray((birth + travel) ** _POWERS_OF_STRETCH[:, None] * found)
 
 
 def _over_thresholds(
