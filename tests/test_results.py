@@ -311,8 +311,8 @@ def test_pictures_of_averages(results):
 
 
 def test_axes_in_units_of_the_run_file(tmp_path):
-    """Symbols are mathematics; units are those of [units], and none are named without
-    it."""
+    """Symbols are mathematics; units are those of [units], and without it
+    x_*, which is 1."""
     from matplotlib import pyplot
 
     text = "[contacts]\ncount = 50\n[drive]\nvelocity = 0.1\ndistance = 9.0\n"
@@ -327,8 +327,8 @@ def test_axes_in_units_of_the_run_file(tmp_path):
     )
     axes = run(tmp_path / "free.toml").plot()
     assert (axes.get_xlabel(), axes.get_ylabel()) == (
-        "slider displacement  $X$",
-        "friction  $F / (N k)$",
+        "slider displacement  $X$  [$x_*$]",
+        "friction  $F / (N k)$  [$x_*$]",
     )
     axes = curve(WARM, [0.1, 1.0]).plot()
     assert (axes.get_xlabel(), axes.get_ylabel()) == (
