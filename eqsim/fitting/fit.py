@@ -1,4 +1,4 @@
-"""Fits: from a run file with a [fit] section to what its data decide."""
+"""Fits: from a run file with a [fit] section to a `FitResult`."""
 
 import hashlib
 import math
@@ -36,23 +36,24 @@ from eqsim.sweeps.workers import Workers
 REJECTED = 1e-3
 # Error of the solver over that of a measurement from which on there is a warning.
 _NOISE_FLOOR = 0.1
-# Half of a 95 % interval over the standard deviation, which data cannot make smaller.
+# Half of a 95 % interval over the standard deviation: a smaller one comes of roughness
+# of the solver.
 _ROUGH_WIDTH = 0.1
 # Distance from a bound, over that of the bounds, at which a parameter is there.
 _AT_BOUND = 1e-3
 # How often a profile may find a better fit.
 _MOST_FITS = 3
-# How often residuals tell the correlation of errors.
+# How often the correlation of errors is found from residuals.
 _WHITENED = 2
-# Seconds after which results of a fit that was stopped are removed, 30 days.
+# Seconds after which results of a fit that was stopped are removed: 30 days.
 _FORGOTTEN_SECONDS = 30 * 86400.0
 
 Progress = Callable[[int, float], None]
 
 
 class Interval(NamedTuple):
-    """Knowledge of a key: its best value, the profile intervals with None for an open
-    side, and a status."""
+    """Result for a key: its best value, the standard deviation of its variable, the
+    profile intervals with None for an open side, and a status."""
 
     key: str
     estimate: float
@@ -64,8 +65,8 @@ class Interval(NamedTuple):
 
 class Goodness(NamedTuple):
     """Agreement of a model with data: chi-square (priors included), degrees of freedom,
-    the probability of more (None without degrees of freedom), -2 ln L, and the criteria
-    of Akaike (corrected) and Bayes."""
+    the probability of a larger chi-square (None without degrees of freedom), -2 ln L,
+    and the criteria of Akaike (corrected) and Bayes."""
 
     chi2: float
     dof: int
@@ -235,8 +236,7 @@ class FitResult:
 
 
 class Prepared(NamedTuple):
-    """A fit before the work: its section, measurements and problem, and what was
-    noticed."""
+    """A fit before the work: its section, measurements and problem, and warnings."""
 
     fit: Fit
     table: Measurements
@@ -267,7 +267,7 @@ def prepare(file: RunFile, data: Path | None, allow_degenerate: bool) -> Prepare
 
 
 def _measured(file: RunFile, section: Fit, data: Path | None) -> Measurements:
-    """The measurements. Raises InputError."""
+    """Read the table or the record of measurements. Raises InputError."""
     field, name = "fit.data", section.data
     if section.record is not None:
         field, name = "fit.record.file", section.record.file
@@ -331,7 +331,7 @@ def _check_rows(file: RunFile, table: Measurements) -> None:
     for name in ("programme", "file", "stage"):
         if file[f"drive.{name}"] is not None:
             raise InputError(f"drive.{name}: not allowed with fit.data, steady values")
-    _ = file.ensemble  # what the run file itself has wrong is not a row's fault
+    _ = file.ensemble  # its own errors must not name a row
     seen = set()
     for row in table.rows:
         if row.changes in seen:
@@ -449,7 +449,7 @@ def _singular(problem: Problem, allowed: bool) -> list[str]:
 
 
 def _search(problem: Problem) -> Callable[[Problem, Array], Minimum]:
-    """Least squares from one start, of a table or of a record."""
+    """The function that searches from one start, for a table or for a record."""
     of_record = isinstance(problem.forward, RecordForward)
     return record.search_record if of_record else estimate.minimise
 
@@ -461,8 +461,8 @@ def _fitted(
     tasks: Tasks,
     progress: Progress,
 ) -> FitResult:
-    """Least squares from every start, and profiles about the best one, which is sought
-    again from where a profile finds a better one."""
+    """Least squares from every start, and profiles about the best fit; where a profile
+    finds a better one, least squares again from there."""
     section, table, problem, warnings = prepared
     number = len(problem.parameters)
     total, done = len(every) + 2 * number, 0
@@ -501,7 +501,7 @@ def _fitted(
 
 
 def goodness(problem: Problem, u: Array) -> Goodness:
-    """Agreement of a fit with parameters `u` with its data."""
+    """Agreement of a problem's data with its parameters `u`."""
     r = problem.whitened(problem.solved(u).predicted)
     n, k = problem.value.size, len(problem.parameters)
     priors = problem.residuals(u)[n:]
@@ -521,9 +521,9 @@ def goodness(problem: Problem, u: Array) -> Goodness:
 
 
 def derived(result: FitResult) -> dict[str, float]:
-    """Groups that the best fit implies: F0 = N k x_* (scale times x_*), v0 = omega x_*,
-    b, v_* of annealed contacts, and where the section gives an area or a normal stress,
-    contacts per area and their spacing."""
+    """Groups of the best fit: F0 = N k x_* (scale times x_*), v0 = omega x_*, b, v_* of
+    annealed contacts, and where the section gives an area or a normal stress, contacts
+    per area and their spacing."""
     ensemble = at(result.file, result.changes).ensemble
     thermal, unit = ensemble.thermal, ensemble.thresholds.scale
     scales, scale = result.fit.scales(result.table.sets)
