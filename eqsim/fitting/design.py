@@ -116,8 +116,8 @@ def _best(fitted: Path, prepared: Prepared) -> Array:
     """The parameters of a fit in a folder. Raises InputError unless it is one of these
     data and keys."""
     try:
-        found = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
-        digest, known = found["data_sha256"], found["parameters"].items()
+        summary = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
+        digest, known = summary["data_sha256"], summary["parameters"].items()
         values = {key: float(one["estimate"]) for key, one in known}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"--fit {fitted}: holds no fit.json of `eqsim fit`") from None

@@ -66,7 +66,7 @@ def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
         r = residuals(u[searched])
         return Minimum(problem.solved(u, held).u, float(r @ r), True, 1)
     inset = 1e-9 * (high - low)
-    found = optimize.least_squares(
+    least = optimize.least_squares(
         residuals,
         np.clip(u[searched], low + inset, high - inset),
         jacobian,
@@ -75,12 +75,12 @@ def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
         max_nfev=200,
     )
     full = u.copy()
-    full[searched] = found.x
-    chi2 = 2.0 * float(found.cost)
+    full[searched] = least.x
+    chi2 = 2.0 * float(least.cost)
     refused = chi2 > 0.9 * REFUSED**2
     if not refused:
         full = problem.solved(full, held).u
-    return Minimum(full, chi2, found.status > 0 and not refused, len(known))
+    return Minimum(full, chi2, least.status > 0 and not refused, len(known))
 
 
 def starts(problem: Problem, count: int, seed: int) -> list[Array]:
@@ -172,11 +172,11 @@ class Tasks:
 
 def different(minima: Sequence[Minimum]) -> list[Minimum]:
     """Distinct minima that converged, the best first."""
-    found: list[Minimum] = []
+    distinct: list[Minimum] = []
     for one in sorted((m for m in minima if m.converged), key=lambda m: m.chi2):
-        if not any(abs(one.chi2 - other.chi2) < SAME_MINIMUM for other in found):
-            found.append(one)
-    return found
+        if not any(abs(one.chi2 - other.chi2) < SAME_MINIMUM for other in distinct):
+            distinct.append(one)
+    return distinct
 
 
 class Direction(NamedTuple):
@@ -195,15 +195,15 @@ def ladder(keys: list[str], jacobian: Array) -> list[Direction]:
     missing = max(len(keys) - len(jacobian), 0)  # fewer measurements than parameters
     padded = np.vstack((jacobian, np.zeros((missing, len(keys)))))
     _, singular, rows = np.linalg.svd(padded, full_matrices=False)
-    found = []
+    directions = []
     for value, row in zip((singular**2).tolist(), rows, strict=True):
         row = row * np.sign(row[np.argmax(np.abs(row))])
         components = dict(zip(keys, row.tolist(), strict=True))
         ratio, sd = 0.0, math.inf
         if value > 0:
             ratio, sd = float(value / singular[0] ** 2), 1.0 / math.sqrt(value)
-        found.append(Direction(value, ratio, sd, components, _product(components)))
-    return found
+        directions.append(Direction(value, ratio, sd, components, _product(components)))
+    return directions
 
 
 def _product(components: dict[str, float]) -> str:
@@ -221,7 +221,7 @@ def _product(components: dict[str, float]) -> str:
 def covariance(jacobian: Array) -> Array:
     """Inverse of J'J; infinite variances where it is singular."""
     try:
-        found = np.linalg.inv(jacobian.T @ jacobian)
+        inverse = np.linalg.inv(jacobian.T @ jacobian)
     except np.linalg.LinAlgError:
         return np.full((jacobian.shape[1],) * 2, np.inf)
-    return found if np.all(np.diag(found) >= 0) else np.full_like(found, np.inf)
+    return inverse if np.all(np.diag(inverse) >= 0) else np.full_like(inverse, np.inf)

@@ -41,9 +41,9 @@ _NOISE_FLOOR = 0.1
 _ROUGH_WIDTH = 0.1
 # Distance from a bound, over that of the bounds, at which a parameter is there.
 _AT_BOUND = 1e-3
-# How often a profile may find a better fit.
+# Rounds of profiles, each from the better fit that the one before has found.
 _MOST_FITS = 3
-# How often the correlation of errors is found from residuals.
+# Rounds in which residuals give the correlation of errors.
 _WHITENED = 2
 # Seconds after which results of a fit that was stopped are removed: 30 days.
 _FORGOTTEN_SECONDS = 30 * 86400.0
@@ -84,7 +84,7 @@ class FitResult:
     ----------
     file : RunFile
     fit : Fit
-        Its [fit] section.
+        The [fit] section.
     problem : Problem
     table : Measurements
     best : Minimum
@@ -97,7 +97,7 @@ class FitResult:
     noticed : list of str
         Warnings from before the fit.
     correlation : Correlation or None
-        Of the errors of a record.
+        Correlation of the errors of a record.
     """
 
     file: RunFile
@@ -168,9 +168,9 @@ class FitResult:
     @cached_property
     def warnings(self) -> list[str]:
         """Warnings from before the fit, and doubts about its numbers."""
-        found, rough = [*self.noticed], []
+        doubts, rough = [*self.noticed], []
         if self.floor > _NOISE_FLOOR:
-            found.append(
+            doubts.append(
                 f"noise floor: the solver's own error is {self.floor:.2g} of a "
                 "measurement's standard error"
             )
@@ -178,7 +178,7 @@ class FitResult:
         for one, x, error in zip(parameters, self.best.u, sd, strict=True):
             for bound in (one.low, one.high):
                 if abs(x - bound) < _AT_BOUND * (one.high - one.low):
-                    found.append(
+                    doubts.append(
                         f"{one.key} is at its bound {float(one.value(bound)):g}: "
                         "values and intervals of the other keys depend on this bound"
                     )
@@ -188,11 +188,11 @@ class FitResult:
             if one.low < x < one.high and nearest < _ROUGH_WIDTH * error:
                 rough.append(one.key)
         if rough:
-            found.append(
+            doubts.append(
                 f"intervals of {', '.join(rough)} end at roughness of the solver: not "
                 "to be trusted"
             )
-        return found
+        return doubts
 
     def to_pandas(self) -> Any:
         """A DataFrame of the keys, one a row: estimate, ends of the 68 and 95 %
@@ -360,16 +360,16 @@ def fit(
     Parameters
     ----------
     file : RunFile, Path or str
-        With a [fit] section, or the path of one; `output.seed` draws the starts.
+        Run file with a [fit] section, or its path; `output.seed` draws the starts.
     folder : Path, optional
-        That paths in the run file are relative to; by default its own folder.
+        Folder that paths in the run file are relative to; by default its own.
     data : Path or str, optional
         Measurements, instead of the section's.
     starts : int
         Points from which a least-squares fit begins: the run file's values, and others
         between the bounds.
     allow_degenerate : bool
-        Whether to go on where the data cannot separate free keys.
+        True to go on where the data cannot separate free keys.
     workers : int
         Processes; they change speed, never a number.
     keep : Path, optional
@@ -529,22 +529,22 @@ def derived(result: FitResult) -> dict[str, float]:
     scales, scale = result.fit.scales(result.table.sets)
     if scales:
         scale = result.values[scales[0].key]
-    found = {"F0 = N k x_*": scale * unit}
+    groups = {"F0 = N k x_*": scale * unit}
     if thermal.kT > 0:
         kelvin = result.file.units.kelvin(thermal.kT)
         if kelvin is not None:
-            found["T of kT (K)"] = kelvin
-        found["v0 = omega x_*"] = thermal.attempt_frequency * unit
-        found["b = k x_*^2/(2 kT)"] = ensemble.b
+            groups["T of kT (K)"] = kelvin
+        groups["v0 = omega x_*"] = thermal.attempt_frequency * unit
+        groups["b = k x_*^2/(2 kT)"] = ensemble.b
         if ensemble.disorder == "annealed":
-            found["v_*"] = ensemble.crossover_velocity
+            groups["v_*"] = ensemble.crossover_velocity
     area, stress = result.fit.area, result.fit.normal_stress
     per_area = 1.0 / area if area is not None else stress
     if per_area is not None:
         density = scale / ensemble.stiffness * per_area
-        found["contacts per area"] = density
-        found["spacing of contacts"] = 1.0 / math.sqrt(density)
-    return {name: float(value) for name, value in found.items()}
+        groups["contacts per area"] = density
+        groups["spacing of contacts"] = 1.0 / math.sqrt(density)
+    return {name: float(value) for name, value in groups.items()}
 
 
 def compared(result: FitResult, other: RunFile, starts: int) -> Goodness:

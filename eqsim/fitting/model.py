@@ -67,16 +67,16 @@ class SteadyForward:
     @cached_property
     def groups(self) -> dict[Any, list[int]]:
         """Measurements by the changes (without velocity) and heat that they share."""
-        found: dict[Any, list[int]] = {}
+        members: dict[Any, list[int]] = {}
         for index, row in enumerate(self.rows):
-            rest = tuple(part for part in row.changes if part[0] != "drive.velocity")
-            found.setdefault((rest, row.heat), []).append(index)
-        return found
+            rest = tuple(pair for pair in row.changes if pair[0] != "drive.velocity")
+            members.setdefault((rest, row.heat), []).append(index)
+        return members
 
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
         """See `Forward`. The standard deviation of the force is that of one contact
         over k, at unit scale."""
-        found = np.empty((len(self.rows), 2))
+        predicted = np.empty((len(self.rows), 2))
         for (rest, heat), members in self.groups.items():
             file = at(self.file, {**changes, **dict(rest)})
             if heat != 1.0:
@@ -88,13 +88,13 @@ class SteadyForward:
             names = [self.observable[index] for index in members]
             if not set(AVERAGES).isdisjoint(names):
                 steady = curve(file.ensemble, np.array(v))
-            for place, (index, name) in enumerate(zip(members, names, strict=True)):
+            for i, (index, name) in enumerate(zip(members, names, strict=True)):
                 if name in AVERAGES:
                     pair = getattr(steady, name), getattr(steady, f"{name}_error")
-                    found[index] = pair[0][place], pair[1][place]
+                    predicted[index] = pair[0][i], pair[1][i]
                 else:
-                    found[index] = other_observable(file.ensemble, v[place], name)
-        value, error = found.T
+                    predicted[index] = other_observable(file.ensemble, v[i], name)
+        value, error = predicted.T
         return value, error
 
 
@@ -130,8 +130,8 @@ class Solved(NamedTuple):
 
 @dataclass(frozen=True)
 class Problem:
-    """A fit: measurements with their errors, what predicts them, and what is free.
-    Arrays have the shape (measurements,)."""
+    """A fit: measurements with their errors, the source of predictions, and the free
+    parameters. Arrays have the shape (measurements,)."""
 
     forward: Forward
     parameters: list[Parameter]

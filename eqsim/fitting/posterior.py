@@ -41,7 +41,7 @@ class Posterior:
     problem : Problem
         The fit.
     points : ndarray, shape (draws, parameters)
-        In the variables of parameters.
+        Draws of the variables of parameters.
     density : ndarray, shape (draws,)
         Logarithm of the posterior density of these variables, up to a constant.
     walkers, steps : int
@@ -237,8 +237,8 @@ def _around(
     """Points about a best fit, spread as its covariance says, inside the bounds."""
     low, high, zero = problem.low, problem.high, np.zeros(best.size)
     finite, width = np.where(np.isfinite(covariance), covariance, 0.0), high - low
-    how: Any = {"method": "eigh", "check_valid": "ignore"}
-    steps = rng.multivariate_normal(zero, finite, n, **how)
+    options: Any = {"method": "eigh", "check_valid": "ignore"}
+    steps = rng.multivariate_normal(zero, finite, n, **options)
     longest = np.maximum(np.max(np.abs(steps) / width, axis=1), 1e-300)
     steps *= np.minimum(1.0, 0.4 / longest)[:, None]
     # directions of no known width

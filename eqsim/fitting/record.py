@@ -37,8 +37,8 @@ from eqsim.numerics.tables import Array
 # time steps (and is a rough function), and with given time steps.
 STEP_CHOSEN = 2e-2
 _STEP_GIVEN = 1e-3
-# How often a search chooses the time steps of solves anew, as long as chi-square falls
-# by more than this share.
+# Searches at most, each with time steps chosen anew, while chi-square falls by more than
+# this share.
 _MOST_SEARCHES = 6
 _CHI2_FALL = 1e-3
 # Accuracy `fine` of `force_of` in a search, coarser than 1, its usual one.

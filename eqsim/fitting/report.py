@@ -36,7 +36,7 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
         [{**one._asdict(), "values": values(one.u)} for one in found]
         for found in (result.minima, different(result.minima))
     )
-    found = {
+    content = {
         "title": result.file.title,
         "parameters": parameters,
         **result.goodness._asdict(),
@@ -63,7 +63,7 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
         "data_sha256": result.table.sha256,
         "versions": storage.versions(),
     }
-    return found if sampled is None else {**found, "posterior": sampled.summary()}
+    return content if sampled is None else {**content, "posterior": sampled.summary()}
 
 
 def _of(given: dict[str, Any], *names: str) -> dict[str, Any]:

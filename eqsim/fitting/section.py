@@ -123,8 +123,8 @@ class NormalPrior(NamedTuple):
 
 
 class _Transform(NamedTuple):
-    """The variable of a key, the key from its variable, what the variable is called,
-    and what the key is greater than."""
+    """The variable of a key, the key from its variable, the variable's name, and the
+    number that the key must be greater than."""
 
     variable: Callable[[float], float]
     value: Callable[[Any], Any]
@@ -209,16 +209,16 @@ def _of_interface(file: RunFile) -> dict[str, float]:
 def _explain_section(error: pydantic.ValidationError) -> str:
     """The message about the first error, one line."""
     first = error.errors(include_url=False)[0]
-    place = [str(part) for part in first["loc"] if part not in ("Scale", "float")]
-    field, value = ".".join(["fit", *place]), shown(first["input"])
+    path = [str(name) for name in first["loc"] if name not in ("Scale", "float")]
+    field, value = ".".join(["fit", *path]), shown(first["input"])
     if first["type"] == "extra_forbidden":
-        section = _FIT_SECTIONS[place[0]] if place[1:] else Fit
-        hint = meant(place[-1], section.model_fields, "known here: ")
+        section = _FIT_SECTIONS[path[0]] if path[1:] else Fit
+        hint = meant(path[-1], section.model_fields, "known here: ")
         return f"{field}: unknown key; {hint}"
     if first["type"] == "missing":
         return f"{field}: is required"
     if first["type"] in ("model_type", "dict_type"):
-        example = _EXAMPLES[place[-1] if place[-1] in _EXAMPLES else place[0]]
+        example = _EXAMPLES[path[-1] if path[-1] in _EXAMPLES else path[0]]
         return f"{field} = {value}: must be a section, such as {example}"
     allowed = first["msg"].replace("Input should be", "must be").replace("'", '"')
     if first["type"] == "value_error":  # of `require_number`

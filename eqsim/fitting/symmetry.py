@@ -51,7 +51,7 @@ def refused(
     file : RunFile
     free : list of Parameter
     scaled : bool
-        Whether the scale of force is free.
+        True if the scale of force is free.
     measured : set of str
         Observables, or "record".
     """

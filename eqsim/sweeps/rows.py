@@ -1,4 +1,4 @@
-"""Rows of a sweep: what is computed at each point, and the columns that it fills.
+"""Rows of a sweep: the computation at each point, and the columns that it fills.
 
 A value depends on the id of its point and on nothing else: not on the order, the
 workers, restarts or the rest of the grid. Other releases of NumPy, Numba and SciPy, and

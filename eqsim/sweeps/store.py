@@ -162,13 +162,13 @@ class Store:
     def _asked(self, asked: Asked) -> dict[str, str]:
         """All that the rows depend on, by name."""
         file = self.plan.file
-        found = {**parameters(file), **dataclasses.asdict(asked)}
+        values = {**parameters(file), **dataclasses.asdict(asked)}
         for section in ("units", "interface"):
             pairs = file.settings[section].items()
-            found |= {f"{section}.{key}": value for key, value in pairs if value}
-        found |= {f"sweep.{key}": value for key, value in entries(file.sweep)}
-        found["order of axes"] = [*file.sweep]
-        texts = {key: repr(value) for key, value in found.items()}
+            values |= {f"{section}.{key}": value for key, value in pairs if value}
+        values |= {f"sweep.{key}": value for key, value in entries(file.sweep)}
+        values["order of axes"] = [*file.sweep]
+        texts = {key: repr(value) for key, value in values.items()}
         for name in {file["thresholds.file"], file.sweep.get("file")} - {None}:
             content = (file.folder / str(name)).read_bytes()
             texts[f"content of {name}"] = _digest(content)

@@ -41,7 +41,7 @@ from eqsim.validation.points import Suite
 _HAZARD_OCTAVES = range(-40, 6)
 # Gauss-Legendre nodes in each octave, for one and for two contacts.
 _PER_OCTAVE = {1: 48, 2: 9}
-# By how much of a pinned share a break moves a slider behind an all but rigid spring.
+# Error of a pinned share from the motion of an all but rigid slider when contacts break.
 _MOVED_BY_BREAK = 1e-6
 # Longest hold, in attempts; beyond, pinned contacts stay.
 _LONGEST_HOLD = 1e12
@@ -52,7 +52,7 @@ _LOOKS = 50
 _AVALANCHING = 2000
 # Sliders that slip in avalanches, whose scatter is the error.
 _SLIDERS = 16
-# By how much the law of sizes may be off where thresholds have gaps.
+# Error of the law of sizes where thresholds have gaps.
 _GAPS = 1e-4
 # Breaks that make the force, n <f_s>^2/<f_s^2>, for a mean over them to be normal.
 _CARRYING = 400

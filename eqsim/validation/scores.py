@@ -88,8 +88,8 @@ _THRESHOLD_ROUNDING = 1e-12
 _NARROW_LAW = 0.03
 # Lives of one comparison, at most.
 _MOST_LIVES = 1e8
-# How much longer `langevin` lives take than others, and stationary ones, found by
-# rejection, than these.
+# Time of a `langevin` life over that of others, and of a stationary one, found by
+# rejection, over that of these.
 _DEAR = 20
 
 

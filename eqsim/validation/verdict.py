@@ -207,16 +207,16 @@ def validate(
     eqsim.errors.InputError: suite = 'long': must be one of "quick", "full", "verification"
     """
     require_choice("suite", suite, (*SUITES,))
-    plan, (first, step), found = SUITES[suite], part, Found()
+    plan, (first, step), every = SUITES[suite], part, Found()
     total = len(range(first, plan.points, step))
     for done, (index, ensemble, v) in enumerate(sample(plan.points, seed, part), 1):
         shown = wrong(ensemble) if wrong else ensemble
         drawn = stream(seed, index)
         point = Point(index, ensemble, shown, v, drawn, seed, threads)
-        found += scores.compare_driven(point, plan) + pulled.compare_pulled(point, plan)
+        every += scores.compare_driven(point, plan) + pulled.compare_pulled(point, plan)
         if progress:
             progress(done, total)
-    made = [one for one in found if isinstance(one, Score)]
-    unscored = [one for one in found if isinstance(one, Unscored)]
+    made = [one for one in every if isinstance(one, Score)]
+    unscored = [one for one in every if isinstance(one, Unscored)]
     verdicts = [judge(kind, made) for kind in KINDS]
     return Validation(suite, seed, made, verdicts, unscored)
