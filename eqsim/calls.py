@@ -166,8 +166,7 @@ def accepts_changes(function: Callable[Concatenate[F, P], R]) -> FileCall[F, P, 
 
 
 def _presented(call: Any, text: str, *others: inspect.Parameter) -> Any:
-    """The function `call` with `changes` and `others` in its signature, and `text` as its
-    docstring."""
+    """The function with `changes` and `others` in its signature, documented by `text`."""
     signature, keyword = inspect.signature(call), inspect.Parameter.KEYWORD_ONLY
     changes = inspect.Parameter("changes", keyword, default=None, annotation=Changes)
     known = signature.parameters | {one.name: one for one in (*others, changes)}
@@ -199,7 +198,6 @@ def swept_velocities(file: RunFile) -> list[float]:
 
 
 def over_cycles(file: RunFile) -> Drive:
-    """The drive, over the lags of fluctuations that the command line shows. Raises
-    InputError."""
+    """The drive over the lags that the command line shows. Raises InputError."""
     drive = file.constant_drive
     return replace(drive, distance=default_lag(file.ensemble, drive))

@@ -43,8 +43,7 @@ class Physical(NamedTuple):
     unit: str
 
 
-# Quantities that F/(N k) is converted to, given `units` and `interface`; None is that of
-# the run file.
+# Quantities that F/(N k) is converted to by `units` and `interface` (None: run file's).
 Quantities = Callable[[Any, Any], Iterable[Any]]
 
 

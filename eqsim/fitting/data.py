@@ -29,9 +29,8 @@ _KNOWN_COLUMNS = (
 
 
 class MeasuredAt(NamedTuple):
-    """Conditions of a measurement: values of run-file keys, kT over that of the run
-    file, the name of its set (measurements with one scale of force), and its line in
-    the file."""
+    """Conditions of a measurement: values of run-file keys, kT over the run file's, its
+    set (measurements with one scale of force), and its line in the file."""
 
     changes: tuple[tuple[str, float], ...]
     heat: float

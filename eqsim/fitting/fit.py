@@ -311,16 +311,16 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
         root = math.sqrt(file["contacts.count"])
         unit = np.where(spread, fixed / root, np.where(force, fixed, 1.0))
     return Problem(
-        forward,
-        [*parameters, *scales, *(one for one in free if one.key in nuisance)],
-        value,
-        table.sigma,
-        scale_of,
-        unit,
-        spread,
-        file["contacts.stiffness"],
-        nuisance,
-        section.loss,
+        forward=forward,
+        parameters=[*parameters, *scales, *(p for p in free if p.key in nuisance)],
+        value=value,
+        sigma=table.sigma,
+        scale_of=scale_of,
+        unit=unit,
+        spread=spread,
+        stiffness=file["contacts.stiffness"],
+        nuisance=nuisance,
+        loss=section.loss,
         step=DERIVATIVE_STEP if table.time is None else record.STEP_CHOSEN,
     )
 

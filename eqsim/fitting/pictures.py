@@ -197,7 +197,6 @@ def profiles_figure(result: "FitResult", title: str) -> Figure:
 
 
 def _draw_profile(result: "FitResult", index: int, panel: Any) -> None:
-    """Draw the profile of a parameter."""
     one, known = result.problem.parameters[index], result.intervals[index]
     low, high = result.profiles[one.key]
     u = np.concatenate((low.points[::-1, index], high.points[1:, index]))

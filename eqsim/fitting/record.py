@@ -33,8 +33,7 @@ from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
-# Steps of derivatives in the variables of parameters, while each solve chooses its own
-# time steps (and is a rough function), and with given time steps.
+# Steps of derivatives: where solves choose their own time steps, and with given ones.
 STEP_CHOSEN = 2e-2
 _STEP_GIVEN = 1e-3
 # Searches at most, each with time steps chosen anew, while chi-square falls by more than
@@ -106,8 +105,7 @@ class _Course(NamedTuple):
 
 @dataclass(frozen=True)
 class RecordForward:
-    """The mean field along a programme at the instants `time` of a record, at unit
-    scale.
+    """The mean field along a programme at the times of a record, at unit scale.
 
     With a stage it is solved with coarse time steps. What these miss, relative to the
     force, hardly depends on the parameters: it is found once, as the `correction`, with
@@ -134,9 +132,9 @@ class RecordForward:
         if course.programme.stage is None:
             means = means_along(course.ensemble, course.programme, course.grid)
             return means.force[course.points], means.force_error[course.points]
-        force, zero = self._coarse(course), np.zeros(self.time.size)
-        correction = zero if self.correction is None else self.correction
-        error = zero if self.error is None else self.error
+        force = self._coarse(course)
+        correction = 0.0 if self.correction is None else self.correction
+        error = 0.0 if self.error is None else self.error
         return force * (1.0 + correction), np.abs(force) * error
 
     def corrected(self, changes: dict[str, float]) -> "RecordForward":
@@ -152,8 +150,7 @@ class RecordForward:
         return replace(self, correction=correction, error=error)
 
     def settle_steps(self, changes: dict[str, float]) -> "RecordForward":
-        """Take the time steps that a solve at these parameters chooses, and drop the
-        correction, which was of others."""
+        """Take the time steps that a solve at these parameters chooses; uncorrected."""
         course = self._course(changes)
         if course.programme.stage is None:
             return self
@@ -201,7 +198,7 @@ class Correlation(NamedTuple):
 
 def settle_steps(problem: Problem, u: Array) -> Problem:
     """The problem with the time steps that a solve at parameters `u` chooses. Raises
-    InputError, and TooManySteps, where there is no such solve."""
+    InputError where there is none."""
     assert isinstance(problem.forward, RecordForward)
     forward = problem.forward.settle_steps(problem.changes(u))
     return replace(problem, forward=forward, step=_STEP_GIVEN, central=True)

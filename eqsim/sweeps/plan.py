@@ -85,8 +85,7 @@ class Plan:
 
 
 def _axes(file: RunFile) -> list[list[dict[str, Any]]]:
-    """The axes of a [sweep] table: for each step of an axis the keys that it changes, and
-    their values. Raises InputError."""
+    """The axes of a [sweep] table: lists of changed keys and values. Raises InputError."""
     axes = []
     for key, spec in entries(file.sweep):
         if key == "file":

@@ -79,8 +79,7 @@ def schema(file: RunFile) -> Any:
 
 
 def _quantities(file: RunFile, ensemble: Ensemble) -> tuple[Quantity, ...]:
-    """Laboratory quantities that friction is converted to; none of programmes, whose
-    rows have no averages."""
+    """Quantities that friction is converted to; none of programmes without averages."""
     programmed = file["drive.programme"] or file["drive.stage"]
     return () if programmed else quantities(ensemble, file.units, file.interface)
 
@@ -175,8 +174,7 @@ class Store:
         return texts | {"schema": str(SCHEMA), _VERSION: str(RESULTS_VERSION)}
 
     def _agree(self, asked: Asked) -> None:
-        """Write the manifest, or check that the one there asks for the same. Raises
-        InputError."""
+        """Write the manifest, or check that it asks for the same. Raises InputError."""
         plan, path, now = self.plan, self.out / SWEEP_MANIFEST, self._asked(asked)
         if not path.exists():
             manifest = {"asked": now, "points": plan.size, "run_file": plan.file.text}

@@ -103,9 +103,8 @@ class Point(NamedTuple):
     def score(
         self, kind: str, ours: Estimate, exact: Estimate, bound: float | None = None
     ) -> Score | Unscored:
-        """Score an estimate against an exact value with its error. The `bound` is the
-        share of both errors that is no scatter, by default the error of the exact value.
-        """
+        """Score an estimate against an exact value with its error. The `bound` is what
+        both errors have beside scatter, by default the error of the exact value."""
         value, error = known(exact), exact.stderr or 0.0
         sigma, z = math.hypot(ours.stderr or 0.0, error), z_score(ours, value, error)
         bound = error if bound is None else bound

@@ -122,7 +122,6 @@ def _success(ensemble: Ensemble, xi: Array, stretch: Array) -> Array:
 
 
 def _stiffness(ensemble: Ensemble, xi: Array) -> Array:
-    """The stiffness of contacts with thresholds `xi`."""
     law, rms = ensemble.stiffness_law, ensemble.thresholds.rms
     return np.asarray(ensemble.stiffness * relative_stiffness(law, xi, rms))
 

@@ -305,10 +305,8 @@ def programme_of(point: Point) -> HeldProgramme:
         segments += pieces
         ends.append(len(segments))
     start: Start = "stationary" if rng.random() < 0.5 else "fresh"
-    programme = Programme(tuple(segments), start, v)
-    return HeldProgramme(
-        programme, replace(programme, segments=tuple(plain)), ends, moved
-    )
+    whole, same = (Programme(tuple(each), start, v) for each in (segments, plain))
+    return HeldProgramme(whole, same, ends, moved)
 
 
 def _pieces(
@@ -348,10 +346,9 @@ def programmes(point: Point, plan: Suite) -> Found:
 
 
 def _many(pilot: Array) -> bool:
-    """True if many contacts contribute to the mean of squares, of which a `pilot` run has
-    those of _GROUPS groups: its relative error is as if _ENOUGH_SQUARES contacts
-    contributed equally, and does not come from one group (as with tails so heavy that
-    there is no error)."""
+    """True if many contacts contribute to the mean of squares, by the `pilot` run of
+    _GROUPS groups: its relative error is as if _ENOUGH_SQUARES did so equally, and does
+    not come from one group (as with tails so heavy that there is no error)."""
     off = (pilot - pilot.mean()) ** 2
     return bool(
         pilot.mean() ** 2 * _GROUPS >= _ENOUGH_SQUARES * pilot.var(ddof=1) > 0
