@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,14 +10,16 @@ from typer.testing import CliRunner
 
 from analysis import coverage
 from eqsim.cli.app import app
+from eqsim.errors import InputError
 from eqsim.fitting.data import read_table
-from eqsim.fitting.design import expected
+from eqsim.fitting.design import design, expected
 from eqsim.fitting.estimate import minimise
 from eqsim.fitting.model import DERIVATIVE_STEP as STEP
 from eqsim.fitting.profiles import LEVELS
 from eqsim.fitting.section import section_of
 from eqsim.io.runfile import load
 
+RUNS = Path(__file__).parent.parent / "runs"
 ROWS = list(coverage.TABLE.items())
 
 
@@ -204,3 +207,9 @@ def test_exact_data_are_fitted_exactly():
     assert found.converged
     assert found.chi2 < 1e-6
     np.testing.assert_allclose(found.u, problem.start, rtol=0, atol=6e-4)
+
+
+def test_a_record_has_no_next_measurement():
+    file = load(RUNS / "fit-velocity-step.toml")
+    with pytest.raises(InputError, match=r"fit\.data: must be a table of averages"):
+        design(file, Path("none"), "thermal.kT")

@@ -44,6 +44,7 @@ from eqsim.laws.aging import Flow, Logarithmic, Unaged, along, base
 from eqsim.laws.delay import Fixed
 from eqsim.laws.stiffness import Springs
 from eqsim.master.flow import moments_along_paths, path_moments
+from eqsim.master.profile import profile_of
 from eqsim.master.quenched import quenched_moments
 from eqsim.master.survivors import survivor_moments
 from eqsim.model.groups import groups
@@ -704,6 +705,23 @@ def test_variance_and_covariance(name):
             ddof=1
         ) / math.sqrt(ensembles)
     assert np.all(exact.error < 1e-3 * exact.covariance[0])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_survivors_end_where_discrete_thresholds_break(seed):
+    """None is left at the end of the longest life, on whichever side of it rounding
+    puts the end, and some are just before: covariances of the force divide by it."""
+    random = np.random.default_rng(seed)
+    table = Table(np.repeat(random.uniform(0.5, 5.0, 3), (4, 2, 1)))
+    aging = Aging("logarithmic", beta=random.uniform(0.1, 2.0), cutoff_time=0.4)
+    ensemble = Ensemble(table, aging=aging, count=100)
+    profile = profile_of(reduced(ensemble, 100.0))
+    ends = profile.x[-1] * np.array([1.0 - 1e-9, 1.0])
+    before, last = survivor_moments(reduced(ensemble, 100.0), ends)[0, 0]
+    assert before > 0.1
+    assert last == 0.0
+    found = fluctuations(ensemble, Drive(100.0, 1.0), points=2)
+    assert abs(found.covariance[1]) < found.covariance[0]
 
 
 @pytest.mark.verification

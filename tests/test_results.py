@@ -414,7 +414,7 @@ def test_sweep_keeps_and_continues(tmp_path):
             lambda: sweep({}, {"drive.velocty": [0.1]}),
             "sweep.drive.velocty: is not a key",
         ),
-        (lambda: sweep({}, {}), "sweep: the run file needs a"),
+        (lambda: sweep({}, {}), "sweep: needs a"),
         (lambda: sweep({}, [0.1]), r"grid = \[0.1\]: must be values by key"),
         (
             lambda: sweep({}, {"drive.velocity": [0.1]}, workers=-1),

@@ -93,6 +93,9 @@ def design(
     require_integer("next", count, 1, 1000)
     prepared = prepare(file, None, True)
     problem = prepared.problem
+    if prepared.table.time is not None:
+        said = "must be a table of averages; a record has no next measurement"
+        raise InputError(f"fit.data: {said}")
     if key not in problem.keys:
         hint = meant(key, problem.keys, "known are ")
         raise InputError(f"--for {key}: is not a free key of this fit; {hint}")

@@ -492,6 +492,10 @@ def _fitted(
         lower = [one.points[np.argmin(one.rise)] for one in sides if one.better]
         if not lower:
             break
+        if again + 1 == _MOST_FITS:  # `best` stays what its intervals are about
+            said = "profiles go on to find better fits: intervals are not reliable"
+            warnings = [*warnings, said]
+            break
         begin = [(problem, u) for u in lower]
         better = tasks.results(f"better{again}", estimate.minimise, begin)
         best = min([best, *better], key=lambda one: one.chi2)

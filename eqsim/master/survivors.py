@@ -127,7 +127,8 @@ def _over_steps(contacts: Reduced, birth: Array, travel: Array, least: Array) ->
     edges = panels_between_steps(contacts) if grows else birth
     found = np.zeros((3 if of_threshold else 1, 3, birth.size))
     for xi, share, kappa in zip(*different_steps(contacts), strict=True):
-        on = xi > least
+        # at its own end a contact is broken, whichever way that was rounded
+        on = xi > least * (1.0 + 1e-13)
         y, way, every = birth[on], travel[on], np.full(np.count_nonzero(on), xi)
         y = y * xi if of_threshold else y
         passed = (
