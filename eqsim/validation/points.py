@@ -160,7 +160,9 @@ def _drawn_thresholds(kind: str, unit: float, rng: np.random.Generator) -> Thres
         first = rng.choice([0.0, 0.2, 1.0])
         widths = np.append(0.0, np.cumsum(rng.uniform(0.1, 1.0, bins)))
         edges = _brief(*unit * (first + widths))
-        return Distribution(stats.rv_histogram((heights, edges), density=True))
+        law = stats.rv_histogram((heights, edges), density=True)
+        law.histogram = heights, edges  # for `law_text`
+        return Distribution(law)
     scale, low = _brief(unit, rng.uniform(0.05, 0.95) * unit)
     if kind == "uniform":
         return Distribution(stats.uniform(low, scale))
@@ -238,7 +240,7 @@ def law_text(law: ThresholdLaw) -> str:
         return repr(law)
     frozen = law.frozen
     if isinstance(frozen, stats.rv_histogram):
-        heights, edges = (np.asarray(part).tolist() for part in frozen._histogram)
+        heights, edges = (np.asarray(part).tolist() for part in frozen.histogram)
         return f"Distribution(stats.rv_histogram(({heights}, {edges}), density=True))"
     shape = [repr(value) for value in frozen.args]
     shape += [f"{name}={value!r}" for name, value in frozen.kwds.items()]
