@@ -111,7 +111,7 @@ class Response(NamedTuple):
     """Displacements of all blocks after a break, on their lattice."""
 
     G: Array  # `Elastic.response`
-    reach: Array  # of each row of G
+    reach: Array  # largest column distance of a block that moves, for each row of G
     nx: int  # columns
     ny: int  # rows
     periodic: bool

@@ -1,5 +1,4 @@
-"""What a run leaves behind: force and pinned contacts along a drive, and what is read
-off."""
+"""Records of runs: force and pinned contacts along a drive, and quantities read off."""
 
 import itertools
 import math
@@ -68,8 +67,8 @@ class Record(ForceRecord):
     pinned, pinned_stderr : ndarray, shape (points,)
         <N_c>/N, averaged over replicas, and its standard error.
     force_replicas : ndarray, shape (replicas, points), or None
-        F/(N k) of every replica (length), if there are several, of threads, and no more
-        than 2e7 numbers.
+        F/(N k) of every replica (length), if there are several, simulated by threads,
+        and these are at most 2e7 numbers.
     """
 
     drawn: ClassVar[Drawn] = Drawn(
@@ -91,8 +90,8 @@ class Record(ForceRecord):
             if self.force_replica_std is None:
                 raise InputError("replicas: there is one ensemble only")
             raise InputError(
-                "replicas: every series is kept of threads, not of an executor, and of "
-                "2e7 numbers at most"
+                "replicas: series are kept if threads simulate them, not an executor, "
+                "and for at most 2e7 numbers"
             )
         count, points = self.force_replicas.shape
         X = getattr(self, "X_replicas", None)
@@ -107,8 +106,8 @@ class Record(ForceRecord):
 @dataclass(frozen=True, repr=False)
 class Trajectory(Record):
     """A record at constant velocity, with `averages` over the second half of the
-    distance; these are unreliable also where the law expects a transient in it, or too
-    few of the lives that make their scatter (`engine.scatter`)."""
+    distance; these are unreliable also where the law predicts a transient in it, or too
+    few of the lives that make up their scatter (`engine.scatter`)."""
 
     averages: Averages
 
@@ -120,8 +119,8 @@ class Trajectory(Record):
 
 @dataclass(frozen=True)
 class VelocityStep:
-    """What a step between two velocities of the same sign shows, as rate-and-state
-    friction names it.
+    """Response to a step between two velocities of the same sign, in the terms of
+    rate-and-state friction.
 
     Attributes
     ----------
@@ -140,7 +139,7 @@ class VelocityStep:
 
 @dataclass(frozen=True)
 class SegmentRecord:
-    """What a segment of a programme shows.
+    """Forces read off a segment of a programme.
 
     Attributes
     ----------
@@ -176,7 +175,7 @@ class ProgrammeTrajectory(Record):
     segment : ndarray of int, shape (points,)
         The segment of the programme that each instant belongs to.
     segments : tuple of SegmentRecord
-        What each of them shows.
+        Forces read off each of them.
     """
 
     drawn: ClassVar[Drawn] = Record.drawn._replace(x="t", x_label="time  t")
@@ -200,10 +199,10 @@ class Slip:
         least value, or, of a slip backwards, rises from its least to its largest
         (length).
     duration, distance : float
-        For how long it does (time), and how far the slider moves meanwhile (length;
+        Time that the drop takes, and displacement of the slider meanwhile (length;
         negative backwards).
     replica : int
-        Which of the independent ensembles slips.
+        Number of the independent ensemble.
     begun, ended : bool
         Whether the record shows how it begins, and how it ends. If not, it was or is
         under way at an end of the record, and `drop`, `duration` and `distance` are
@@ -292,8 +291,8 @@ class SliderTrajectory(ProgrammeTrajectory):
         return self._mean_over_slips(lambda slips: [slip.drop for slip in slips])
 
     def _mean_over_slips(self, of: Callable[[list[Slip]], list[float]]) -> Estimate:
-        """The mean of what each replica's whole slips are worth, with the error of
-        finite steps."""
+        """Mean of the values `of` each replica's whole slips, with the error of finite
+        steps."""
         found = _mean_over(self.slips, of)
         if self.coarser_slips is None or found.value is None:
             return found
@@ -366,8 +365,8 @@ _ENOUGH_SLIPS = 5
 def _mean_over(
     slips: Sequence[Slip], of: Callable[[list[Slip]], list[float]]
 ) -> Estimate:
-    """The mean of what the slips of each replica are worth, without its first one,
-    which depends on the start, and what the record ends in."""
+    """Mean of the values `of` the slips of each replica, without its first slip, which
+    depends on the start, and one that the record ends in."""
     values: list[float] = []
     for _, whole in itertools.groupby(slips, key=lambda slip: slip.replica):
         values += of([slip for slip in whole if slip.ended][1:])
@@ -452,7 +451,7 @@ def shown_by(
         step = None
         if stepped:
             step = velocity_step(along, forces, errors, (peak, at), ratio)
-        end, peak, at = (replace(one, reliable=reliable) for one in (end, peak, at))
+        end, peak, at = (replace(e, reliable=reliable) for e in (end, peak, at))
         t, X = float(grid.t[here[-1]]), float(grid.X[here[-1]])
         found.append(SegmentRecord(segment.velocity, t, X, end, peak, at, step))
         before = segment.velocity
@@ -499,8 +498,8 @@ def velocity_step(
     extremum: tuple[Estimate, Estimate],
     ratio: float,
 ) -> VelocityStep:
-    """What a step of velocity by a factor `ratio` shows: force with errors against
-    displacement since, arrays (points,), and its `extreme`."""
+    """Read off a step of velocity by a factor `ratio`: from the force with errors
+    against displacement since, arrays (points,), and its `extreme`."""
     peak, at = extremum
     n, log_ratio, top = force.size, np.log(ratio), known(peak)
 

@@ -1,5 +1,5 @@
-"""Lives from given uniforms: for steady estimates, predictions and what the law says of
-errors."""
+"""Lives from given uniforms, for steady estimates, predictions and errors from the
+law."""
 
 import functools
 import math
@@ -95,8 +95,8 @@ def rough_stretch(ensemble: Ensemble, velocity: float) -> float | None:
 
 
 def unnamed_lives(c: Contacts, u: Array, v: Array) -> Sample:
-    """`lives` of no contact in particular: where thresholds fluctuate, their paths are
-    the same whatever the seed."""
+    """`lives` with a fixed key: paths of fluctuating thresholds do not depend on a
+    seed."""
     return lives(c, Source(key_of(0, 0), 0, langevin.STEP), u, v)
 
 

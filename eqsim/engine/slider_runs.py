@@ -49,7 +49,7 @@ class _PulledRun(NamedTuple):
 
 
 def _note(slider: Slider, row: np.void) -> None:
-    """Note the state of a slider."""
+    """Record the state of a slider in a row of its course."""
     now, pull = slider.state, slider.pull
     spring = 0.5 * pull.stiffness * (now.Y - now.X) ** 2
     row["X"] = now.X

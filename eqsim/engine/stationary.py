@@ -1,5 +1,4 @@
-"""The stationary population: what a snapshot of the steady state finds, as tables to
-draw from.
+"""Draw contacts as a snapshot of the steady state finds them, from tables.
 
 A snapshot sees contacts in proportion to their time, not to their births (length bias,
 derived): pinned contacts have thresholds of density P_c(xi) m(xi)/C, where m(xi) =
@@ -36,9 +35,9 @@ from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, search
 
-_EXTREME_RANK = 45.0  # -ln of no 63-bit uniform exceeds it
-_EXTREME_PRODUCT = 129.0  # rank of the sum of -ln of two uniforms of 2^-96
-_EXTREME_CLOCK = 110.0  # no clock of a contact found exceeds it
+_EXTREME_RANK = 45.0  # bound on -ln of a 63-bit uniform
+_EXTREME_PRODUCT = 129.0  # rank of the product of two uniforms of 2^-96
+_EXTREME_CLOCK = 110.0  # bound on the clock of a contact in a snapshot
 _ENVELOPE_MARGIN = 1.0 + 1e-4  # the envelope may be too high, never too low
 
 
@@ -59,8 +58,7 @@ class Stationary(NamedTuple):
 
 
 class Fresh(NamedTuple):
-    """In the place of `Stationary` at a fresh start, so that kernels leave out what
-    finds contacts."""
+    """Fresh start: a type of its own, so that its kernels compile no snapshots."""
 
 
 def stationary(c: Contacts) -> Stationary:
@@ -107,8 +105,7 @@ def _octaves(power: Any) -> Array:
 
 
 def _longest(c: Contacts) -> float:
-    """A life so long that a share of 1e-5 of all time lies in what others have beyond
-    it."""
+    """Length of life beyond which longer lives spend a share of 1e-5 of all time."""
     proposal = Proposal.of(c)
     p, q = np.random.default_rng(0).random((2, 2**15))
     (u, weight), (v, clock_weight) = proposal.threshold.draw(p), proposal.clock.draw(q)
@@ -159,8 +156,8 @@ def mean_lives(c: Contacts, xi: Array) -> Array:
 
 
 def extremes(c: Contacts) -> tuple[float, float]:
-    """A threshold that sets a stiffness and a stretch at breaking that no contact
-    exceeds, with a margin of a tenth."""
+    """Bounds of the threshold that sets a stiffness, and of the stretch at breaking,
+    with a margin of a tenth."""
     most = _EXTREME_PRODUCT if c.thresholds.exponentials == 2 else _EXTREME_RANK
     ranks = np.linspace(0.01, most, 2000)
     xi, stretch = np.empty((2, ranks.size))
@@ -174,8 +171,8 @@ def extremes(c: Contacts) -> tuple[float, float]:
 
 @kernel
 def whole_lives(c: Contacts, xi: Array, ends: Array, hazard: Array) -> None:
-    """Fill `ends` with where contacts of thresholds `xi` at birth break mechanically,
-    `hazard` with their integrated hazards until then."""
+    """Fill `ends` with the stretches at which contacts of thresholds `xi` at birth
+    break mechanically, `hazard` with their integrated hazards until then."""
     for i in range(xi.size):
         ends[i], hazard[i] = whole_hazard(c.aging, c, xi[i])
 
@@ -189,17 +186,17 @@ def thresholds(law: Thresholds, u: Array, xi: Array) -> None:
 
 @kernel
 def stretches(c: Contacts, xi: Array, clock: Array, stretch: Array) -> None:
-    """Fill `stretch` with where contacts of thresholds `xi` break whose clocks show
+    """Fill `stretch` at breaking, for thresholds `xi` and exponential clocks
     `clock`."""
     for i in range(xi.size):
         stretch[i] = life(c.aging, c, xi[i], clock[i])
 
 
 class Seen(NamedTuple):
-    """A contact of the stationary state: whether it is pinned, and if not for how long
-    it waits; if it is, threshold and stretch at birth, its travel until now, `age`,
-    which may be less than the resolution of a stretch, and until it breaks, `length`,
-    and its exponential clock."""
+    """A contact of the stationary state. If it is detached, `wait` is the rest of its
+    delay. If it is `pinned`, `threshold` and `stretch` are those at birth, `age` its
+    travel until now, which may be less than the resolution of a stretch, `length` its
+    travel from birth to breaking, and `clock` its exponential clock."""
 
     pinned: bool
     wait: float
@@ -212,13 +209,13 @@ class Seen(NamedTuple):
 
 @routine(inline=True)
 def seen_detached(wait: float) -> Seen:
-    """A contact that is pinned after a wait."""
+    """A detached contact that is pinned after a wait."""
     return Seen(False, wait, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @by_law
 def snapshot(law: Any, c: Contacts, s: Stationary, key: Key, contact: int) -> Seen:
-    """What a snapshot of the stationary state finds, by the law of births."""
+    """Draw a contact of the stationary state, by the law of births."""
     u_state, u_rest = uniforms(key, contact, 0, 0)
     if u_state >= s.pinned:
         return seen_detached(residual_delay_draw(c.delay, u_rest))
@@ -247,7 +244,7 @@ def _try_cycles(
             if c.delay.random > 0.0:
                 rest = residual_delay_draw(c.delay, u_rest)
             return seen_detached(rest)
-    return seen_detached(0.0)  # one in e^32
+    return seen_detached(0.0)  # reached by one contact in e^32
 
 
 @routine(inline=True)
