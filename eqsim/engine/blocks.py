@@ -33,7 +33,7 @@ class Totals:
 
     def __init__(self, rows: int, points: int, replicas: int) -> None:
         self.deposits = np.zeros(rows, DEPOSIT)
-        # of the ensemble at hand
+        # sums of the ensemble at hand
         self.scratch = np.zeros(rows, DEPOSIT) if replicas > 1 else self.deposits
         self.windows = np.zeros((BATCHES, 2), WINDOW)
         self.counts = np.zeros(2, np.int64)

@@ -202,7 +202,7 @@ def pace(
     least = reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed)
     least = min(least, slight / alpha)
     h = min(h, max(far, least))
-    # what comes long after the clock has stopped says little about when it stops
+    # steps long beyond the end of the clock would place a break inaccurately
     return (2.0 * left / rate if rate * h > 2.0 * left else h), rate, slope
 
 

@@ -93,7 +93,7 @@ def _plainly(c: Contacts, key: Key, index: int, size: int, stop: Array) -> Array
     parts = sums.work, sums.travel, sums.square, sums.birth, sums.size
     *means, work = (np.cumsum(part)[-1] for part in parts)
     largest = max(sums.most_work.max() / work, sums.most_travel.max() / means[1])
-    # of squares, `errorbars.unmet_squares` says more than the largest one
+    # no largest share of squares: `errorbars.unmet_squares` replaces it
     return np.array([[*(mean / size for mean in means), largest, 0.0]])
 
 

@@ -33,7 +33,7 @@ class ForceRecord(Result):
     lives : int
         Lives of contacts that were simulated.
     seed, engine_seconds, threads
-        How it was computed.
+        Seed of the random numbers, seconds that it took, and threads.
     """
 
     X: Array
@@ -195,18 +195,17 @@ class Slip:
         Time when half of the drop is done, and displacement of the slider then
         (length).
     drop : float
-        By how much the force of the spring, over N k, falls from its largest to its
-        least value, or, of a slip backwards, rises from its least to its largest
-        (length).
+        Fall of the force of the spring, over N k, from its largest to its least value,
+        or for a slip backwards its rise from least to largest (length).
     duration, distance : float
         Time that the drop takes, and displacement of the slider meanwhile (length;
         negative backwards).
     replica : int
         Number of the independent ensemble.
     begun, ended : bool
-        Whether the record shows how it begins, and how it ends. If not, it was or is
-        under way at an end of the record, and `drop`, `duration` and `distance` are
-        less than the whole, `t` and `X` those of the half that was seen.
+        True if the record shows its beginning, or its end. Otherwise it was under way
+        at that end of the record, and `drop`, `duration` and `distance` are less than
+        the whole, `t` and `X` those of the half that was seen.
     """
 
     t: float
@@ -252,10 +251,10 @@ class SliderTrajectory(ProgrammeTrajectory):
         Those of the same contacts in steps four times as long; None if nothing is
         approximate.
     avalanches : dict of ndarray, or None
-        Of a stage that pulls quasi-statically (no heat, delay, damping or mass), by
-        column: time `t` and displacement `X` (length) of the first break, how many
-        `breaks` follow from it, `drop` of the force and `distance` that the slider
-        moves until the last (length), and the `replica`.
+        Avalanches behind a stage that pulls quasi-statically (no heat, delay, damping
+        or mass), by column: time `t` and displacement `X` (length) of the first break,
+        how many `breaks` follow from it, `drop` of the force and `distance` that the
+        slider moves until the last (length), and the `replica`.
     """
 
     stage: Array

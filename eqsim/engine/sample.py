@@ -48,8 +48,8 @@ class Sample(NamedTuple):
 
 
 class Source(NamedTuple):
-    """Where the random numbers of paths come from, contacts from `first` on; and the
-    accuracy of their steps."""
+    """Random numbers of paths, those of contacts from `first` on, and the accuracy
+    `step` of their steps."""
 
     key: Key
     first: int

@@ -36,7 +36,7 @@ _CELLS_IN_A_LIFE = 32
 _FORCE_POWERS = 7  # of forces: 0 to 6
 _LOG_RANKS = -16.0, 45.0
 _PATHS = 2**12  # of thresholds that fluctuate
-_LAW_TOLERANCE = 0.05  # of the law's variance: lattice, lives
+_LAW_TOLERANCE = 0.05  # relative error of the law's variance, by lattice and lives
 # a force is reliable if it is off by five standard errors with a smaller probability
 RARE = 1e-4
 ENOUGH = 100  # least effective number of lives for errors of a mean to be normal

@@ -67,15 +67,15 @@ class Steady(Averages):
     Attributes
     ----------
     friction, pinned, break_stretch, travel, birth_stretch, force_variance : Estimate
-        As in `Averages`; no `force_variance` where the stiffness of a contact follows
-        its aging threshold, and an infinite one where there is none
+        Estimates as in `Averages`. `force_variance` has no value where the stiffness of
+        a contact follows its aging threshold, and is infinite where it diverges
         (`Ensemble.divergence`).
     lives : int
         Lives of contacts that were simulated.
     seed, engine_seconds
         Seed of the random numbers, and seconds that it took.
     reached : bool
-        Whether the requested error was.
+        True if the error is at most the one asked for.
     hidden : float
         Bound on the relative error of means over lives that the scatter does not show.
     """
@@ -279,10 +279,10 @@ def _averages(
 
     of_friction = (work + drag * delay - friction * cycle) / cycle.mean()
     of_pinned = (travel - pinned * cycle) / cycle.mean()
-    # of laws so broad that there is no variance
+    # laws may be so broad that there is no variance
     with np.errstate(over="ignore", invalid="ignore"):
         second = float((square.mean() + drag**2 * delay) / cycle.mean())
-        # of all randomisations together: few lives of one make much of its mean square
+        # among all randomisations: in one alone few lives make much of its mean square
         largest = float((sums[:, 5] * square).max() / square.sum())
         of_second = (square + drag**2 * delay - second * cycle) / cycle.mean()
         value, error = second - friction**2, unseen.squares * second

@@ -58,7 +58,7 @@ class Barrier(Law):
     """
 
     __slots__ = ()
-    thermal: ClassVar[bool] = True  # whether heat breaks contacts at all
+    thermal: ClassVar[bool] = True  # heat breaks contacts
     # b above which a quenched contact breaks at its threshold, to 1e-10
     flat_out: ClassVar[float] = 1e16
     b: float
