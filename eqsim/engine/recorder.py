@@ -186,7 +186,7 @@ class Averaging(NamedTuple):
     lives: Array  # number of the life that began there
     work: Array  # over k, since then
     pinned: Array  # displacement while pinned, since then
-    broke: Array  # where the life at hand ends
+    broke: Array  # where the current life ends
     reborn: Array  # where the delay after it ends
 
     @classmethod

@@ -26,8 +26,8 @@ class ForceRecord(Result):
     force, force_stderr : ndarray, shape (points,)
         <F>/(N k) (length), averaged over replicas, and its standard error.
     force_reliable : bool
-        False where too few contacts or replicas make the force for five standard errors
-        to mean what they say.
+        False where so few contacts or replicas make the force that it may well be off
+        by more than five standard errors.
     force_replica_std : ndarray, shape (points,), or None
         Standard deviation of F/(N k) between replicas, if there are several.
     lives : int
@@ -460,12 +460,11 @@ def shown_by(
 def extreme(
     x: Array, force: Array, stderr: Array, direction: float = 0
 ) -> tuple[Estimate, Estimate]:
-    """The force that differs most from the first one, if a `direction` (1 or -1) is
-    given that way, and the `x` where it is; arrays (points,). The largest of many
-    values with errors is too large. The vertex of a parabola through all values that
-    cannot be told from it is not, and how far the two differ is part of the error. A
-    vertex beyond these values is none of the record: the largest value and its place
-    are told then."""
+    """Estimate the force that differs most from the first one, in a `direction` (1 or
+    -1) if given, and the `x` where it is; arrays (points,). The largest of many values
+    with errors is biased. So the vertex of a parabola is fitted to all values within
+    the error of the largest; the difference of the two is part of the error. If the
+    vertex lies beyond these values, the largest value is returned."""
     change = direction * (force - force[0]) if direction else np.abs(force - force[0])
     top = int(np.argmax(change))
     near = np.abs(force - force[top]) <= 2.0 * stderr[top]

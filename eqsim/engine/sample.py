@@ -58,8 +58,8 @@ class Source(NamedTuple):
 
 def typical_lives(c: Contacts) -> Sample:
     """64 x 64 lives, at mid-points of equal shares of thresholds and of clocks, and
-    births in between: a rough picture that costs nothing; of 16 x 16 where thresholds
-    fluctuate and lives cost something."""
+    births in between: rough, but fast; 16 x 16 where thresholds fluctuate and lives
+    take long."""
     return unnamed_lives(c, *typical_uniforms(c))
 
 

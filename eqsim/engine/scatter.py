@@ -87,21 +87,18 @@ def _uniforms(s: Array) -> tuple[Array, Array]:
 
 
 class Scatter(NamedTuple):
-    """Moments of the force of a contact at the nodes `X`, in the units of `Contacts`:
-    mean, pinned fraction, variance, fourth and sixth central moment; `one`, the mean
-    square force of a pinned contact, or of a detached one if its drag is larger, and
-    `most`, what it can be at most with k_i = k; and how many `lives` drawn at random
-    these are as good as."""
+    """Moments of the force of a contact at the nodes `X`, in the units of
+    `Contacts`."""
 
     X: Array
     mean: Array
-    pinned: Array
+    pinned: Array  # fraction
     variance: Array
-    fourth: Array
-    sixth: Array
-    one: Array
-    most: Array
-    lives: float
+    fourth: Array  # central moment
+    sixth: Array  # central moment
+    one: Array  # mean square force if pinned, or if detached where drag makes it larger
+    most: Array  # largest square of the force with k_i = k
+    lives: float  # number of random lives that would be as accurate
 
     def at(self, X: Array) -> "Scatter":
         """The same at other displacements."""

@@ -7,8 +7,9 @@ P(x_b > x|xi).
 
 S decreases, so x S(x) <= int_0^x S dy <= m and S is below the envelope g(x) = min(1,
 m/x). A stretch x proposed from g is kept with probability S(x)/g(x): that is, if a life
-whose clock shows -ln(U g(x)), U uniform, breaks beyond x. Given that, this clock is
-Lambda(x) + Exp(1), so the same clock also says where the contact found at x will break.
+with the exponential clock -ln(U g(x)), U uniform, breaks beyond x. Given that, this
+clock is Lambda(x) + Exp(1), so the same clock also says where the contact found at x
+will break.
 """
 
 import itertools
@@ -43,11 +44,11 @@ _ENVELOPE_MARGIN = 1.0 + 1e-4  # the envelope may be too high, never too low
 
 class Stationary(NamedTuple):
     """Tables of the stationary state, in the units of `Contacts`. `pinned` is the
-    pinned fraction. A smooth law has `biased`, e of a threshold found against -ln of a
-    uniform, and `life`, m against e; a discrete one has `share`, the cumulative share
-    of its thresholds, and `step_life`, m of each. Contacts of `langevin` thresholds and
-    contacts born stretched, whose lives are found by trying, only have `longest`: no
-    life is longer."""
+    pinned fraction. A smooth law has `biased`, the rank e of a threshold in a snapshot
+    against -ln of a uniform, and `life`, m against e; a discrete one has `share`, the
+    cumulative share of its thresholds in a snapshot, and `step_life`, m of each.
+    Contacts of `langevin` thresholds and contacts born stretched, whose lives are found
+    by trying, only have `longest`: no life is longer."""
 
     pinned: float = 1.0
     longest: float = math.inf
@@ -63,8 +64,8 @@ class Fresh(NamedTuple):
 
 def stationary(c: Contacts) -> Stationary:
     """The stationary state of contacts; tables are good to 1e-6 relative. Raises
-    InputError where contacts found by trying that live 1000 times longer than the mean
-    still matter, too rare to be found."""
+    InputError where contacts that live 1000 times longer than the mean still matter, if
+    they are found by trial, for which they are too rare."""
     if c.aging.fluctuates or isinstance(c.newborn, Stretched):
         return Stationary(longest=_longest(c))
     if c.thresholds.steps.size:

@@ -118,7 +118,7 @@ def steady(
     max_lives : float
         Work that would need more lives of contacts is refused before it starts.
     progress : callable, optional
-        `progress(done, total)` is told about the lives of an attempt, each of which
+        `progress(done, total)` is called with the lives of an attempt; each attempt
         begins with done = 0.
     plain : bool
         Draw independent lives as they are born, without Sobol sequences and weights:

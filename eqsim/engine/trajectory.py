@@ -137,7 +137,7 @@ def trajectory(
         Work that needs more lives of contacts is refused, and stopped where it takes
         twice as many.
     progress : callable, optional
-        `progress(lives)` is told now and then how many lives have been simulated.
+        `progress(lives)` is called now and then with the lives simulated so far.
 
     Returns
     -------

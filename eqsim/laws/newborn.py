@@ -4,7 +4,7 @@
 A contact is born at y, is carried to y + s, and breaks at x_b; l = x_b - y is its
 travel. y is a length, or a fraction of the contact's own threshold. In the first case a
 contact that forms is one that holds: its threshold is drawn given that it is above |y|;
-that of an annealed contact given that it is above y, for the master equation knows no
+that of an annealed contact given that it is above y, since the master equation has no
 mechanical breaking at negative stretch, P(x) = P_c/J_c for x > 0 only. In the second
 the threshold is drawn first.
 

@@ -95,7 +95,7 @@ class AgingLaw(Law):
         return xi, xi
 
     def table(self, springs: Springs) -> Array:
-        """The table that `work` looks up, if any."""
+        """Table for the routine `work`, empty if it needs none."""
         return NO_TABLE
 
 
