@@ -1,8 +1,8 @@
-"""One way of calling for all that simulates or solves: contacts and a drive, or a run
-file, `steady(Ensemble(), Drive(0.1))` or `steady("x.toml", changes={"thermal.kT": 1})`.
+"""One signature for all simulations and references: contacts and a drive, or a run file,
+`steady(Ensemble(), Drive(0.1))` or `steady("x.toml", changes={"thermal.kT": 1})`.
 
-Engine and reference take an `Ensemble` and a `Drive`. `accepts_run_file` makes
-functions of them that take a run file as well, and whose results know its units.
+Engine and reference take an `Ensemble` and a `Drive`. `accepts_run_file` wraps their
+functions so that they take a run file as well, and results know its units.
 """
 
 import functools
@@ -30,9 +30,9 @@ File = RunFile | Path | str
 Contacts = Ensemble | File
 Changes = dict[str, Any] | None
 P = ParamSpec("P")
-F = TypeVar("F", contravariant=True)  # what stands for a run file
-D = TypeVar("D", contravariant=True)  # of drives
-R = TypeVar("R", covariant=True)  # of results
+F = TypeVar("F", contravariant=True)  # type of a run file
+D = TypeVar("D", contravariant=True)  # type of a drive
+R = TypeVar("R", covariant=True)  # type of a result
 
 _CONTACTS = "    ensemble : Ensemble\n"
 _CONTACTS_OR_FILE = """    ensemble : Ensemble, RunFile, Path or str
@@ -116,7 +116,7 @@ def accepts_run_file(
         **given: Any,
     ) -> Any:
         source = ensemble if file is None else file
-        # `velocity` is what the drive of `fresh_slip` was called
+        # `velocity` is the former name of the drive of `fresh_slip`
         for name in (second, "velocity"):
             drive = given.pop(name, drive)
         if isinstance(source, (RunFile, Path, str)):
@@ -135,9 +135,9 @@ def accepts_run_file(
         if changes is not None and file is None:
             said = "those of a run file; dataclasses.replace changes an Ensemble"
             raise InputError(f"changes = {shown(changes)}: are {said}")
-        found: Any = function(source, drive, *args, **given)
-        tell_quantities(found, told)
-        return found
+        result: Any = function(source, drive, *args, **given)
+        tell_quantities(result, told)
+        return result
 
     first, driven = signature.parameters["ensemble"], signature.parameters[second]
     given = " and ".join(f"`{name}`" for name in (second, *options))
@@ -166,7 +166,7 @@ def accepts_changes(function: Callable[Concatenate[F, P], R]) -> FileCall[F, P, 
 
 
 def _presented(call: Any, text: str, *others: inspect.Parameter) -> Any:
-    """A function with `changes` and `others` in its signature, and with this text."""
+    """The function with `changes` and `others` in its signature, documented by `text`."""
     signature, keyword = inspect.signature(call), inspect.Parameter.KEYWORD_ONLY
     changes = inspect.Parameter("changes", keyword, default=None, annotation=Changes)
     known = signature.parameters | {one.name: one for one in (*others, changes)}
@@ -180,7 +180,7 @@ def _presented(call: Any, text: str, *others: inspect.Parameter) -> Any:
 def depends_on_drive(
     function: Callable[Concatenate[Ensemble, Drive, P], Trajectory],
 ) -> TrajectoryCall[P]:
-    """`accepts_run_file` for `trajectory`."""
+    """`accepts_run_file` for `trajectory`, with its types."""
     return cast(Any, accepts_run_file(function))
 
 
@@ -198,6 +198,6 @@ def swept_velocities(file: RunFile) -> list[float]:
 
 
 def over_cycles(file: RunFile) -> Drive:
-    """The drive as far as the command line shows fluctuations. Raises InputError."""
+    """The drive over the lags that the command line shows. Raises InputError."""
     drive = file.constant_drive
     return replace(drive, distance=default_lag(file.ensemble, drive))

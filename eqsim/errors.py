@@ -1,4 +1,4 @@
-"""Errors a user's input can cause: one line that names the field, its value and what is
+"""Errors in a user's input: one line that names the field, its value and what is
 allowed."""
 
 import difflib
@@ -15,8 +15,7 @@ NOT_NEGATIVE = {"least": 0.0, "most": 1e100}
 
 
 class InputError(ValueError):
-    """Something the user gave cannot be used; the message is a single line meant to be
-    printed as it is."""
+    """Unusable input of a user; the message is a single line, printed as it is."""
 
     def __init__(self, message: str = "") -> None:
         super().__init__(
@@ -25,7 +24,7 @@ class InputError(ValueError):
 
 
 class _Brief(reprlib.Repr):
-    """`repr` of bounded length, whatever was given."""
+    """`repr` of bounded length."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -46,7 +45,7 @@ def shown(value: Any) -> str:
 
 
 def meant(name: str, known: Iterable[str], otherwise: str = "") -> str:
-    """A hint which of the `known` keys, section.key or bare, may have been meant by
+    """A hint about the one of the `known` keys, section.key or bare, that is closest to
     `name`. If none is close it lists all after the words `otherwise`, or is empty."""
     known = list(known)
     last = name.rpartition(".")[2].lower()
@@ -67,15 +66,15 @@ def under(section: str) -> Iterator[None]:
 
 
 def require_package(extra: str, *packages: str) -> Any:
-    """The last of some packages of an extra of eqsim, imported. Raises InputError,
-    which names the option of the same name, unless all are installed."""
+    """Import packages of an extra of eqsim, and return the last. Raises InputError, which
+    names the option of the same name, unless all are installed."""
     for package in packages:
         try:
-            found = import_module(package)
+            module = import_module(package)
         except ImportError:
             said = f'needs the package "{package}" (pip install "eqsim[{extra}]")'
             raise InputError(f"--{extra}: {said}") from None
-    return found
+    return module
 
 
 def require_number(
@@ -91,7 +90,7 @@ def require_number(
     lower = [] if above is None else [f" > {above:g}"]
     lower += [] if least is None else [f" >= {least:g}"]
     upper = f" and <= {most:g}" if math.isfinite(most) else ""
-    try:  # what cannot be hashed, such as an array of one number, is no number
+    try:  # an array of one number passes for a float, but cannot be hashed
         ok = type(value).__hash__ is not None and math.isfinite(value)
         ok = ok and (above is None or value > above)
         ok = ok and (least is None or value >= least) and value <= most

@@ -1,4 +1,4 @@
-"""Numbers with error bars, and how far they are from an exact value."""
+"""Numbers with error bars, and their distances from exact values in standard errors."""
 
 import math
 from dataclasses import asdict, dataclass, fields
@@ -19,8 +19,8 @@ class Estimate:
     Attributes
     ----------
     value, stderr : float or None
-        None where the sample says nothing about it; a value is infinite where the law
-        of the contacts has no such mean.
+        None where the sample does not determine it; a value is infinite where the law
+        of the contacts has no finite mean.
     n : int
         Lives (or other samples) behind it.
     dof : int or None
@@ -48,7 +48,7 @@ class Estimate:
         return self.value is not None and math.isinf(self.value)
 
     def as_dict(self) -> dict[str, Any]:
-        """Fields by name for JSON, where nothing is infinite: such a value is None."""
+        """Fields by name for JSON, which has no infinite numbers: they become None."""
         return {**asdict(self), "value": None if self.diverges else self.value}
 
     def __str__(self) -> str:
@@ -84,7 +84,7 @@ def infinite(n: int = 0) -> Estimate:
 
 
 def known(estimate: Estimate) -> float:
-    """The value of an estimate that has one."""
+    """The value of an estimate. Raises ValueError if it has none."""
     if estimate.value is None:
         raise ValueError("this estimate has no value")
     return estimate.value
@@ -92,8 +92,8 @@ def known(estimate: Estimate) -> float:
 
 @dataclass(frozen=True, repr=False)
 class Averages(Result):
-    """Steady averages of an ensemble, the observables. What each is called and its unit
-    are in `eqsim.catalogue`."""
+    """Steady averages of an ensemble, the observables. Their meaning and units are in
+    `eqsim.catalogue`."""
 
     friction: Estimate
     pinned: Estimate
@@ -107,11 +107,11 @@ class Averages(Result):
         return {name: getattr(self, name) for name in OBSERVABLES}
 
     def estimates(self, *, brief: bool = False) -> dict[str, Any]:
-        """The estimates by name, also those beside the observables; if `brief`, of the
-        observables those `shown`."""
+        """All estimates by name, also those that are no observables; if `brief`, without
+        observables that are not `shown`."""
         hidden = OBSERVABLES.keys() - set(self.shown) if brief else set()
         every = super().estimates()
-        return {name: one for name, one in every.items() if name not in hidden}
+        return {name: each for name, each in every.items() if name not in hidden}
 
     def plot(
         self, axes: Any = None, *, reference: "Averages | None" = None, **style: Any
@@ -122,10 +122,10 @@ class Averages(Result):
         Parameters
         ----------
         axes : matplotlib Axes, optional
-            Where; by default axes of a new figure.
+            Axes to draw on; by default those of a new figure.
         reference : Averages, optional
-            Draw how far each is from that of `reference`, in standard errors of the
-            difference, on a band of two; without an average whose error is 0 in both.
+            Draw differences from this, in their standard errors, on a band of two;
+            without averages that have no error in both.
         **style
             Passed to `Axes.errorbar`: label, color, ...
 
@@ -135,12 +135,12 @@ class Averages(Result):
         """
         marks, values, errors = [], [], []
         for name in self.shown:
-            one, exact = getattr(self, name), getattr(reference, name, None)
-            if one.value is None or one.diverges:
+            ours, exact = getattr(self, name), getattr(reference, name, None)
+            if ours.value is None or ours.diverges:
                 continue
-            mark, value, error = f"{one}", one.value, 2.0 * (one.stderr or 0.0)
+            mark, value, error = f"{ours}", ours.value, 2.0 * (ours.stderr or 0.0)
             if exact is not None:
-                value, error = difference(one, exact), 0.0
+                value, error = difference(ours, exact), 0.0
                 if value is None:
                     continue
                 mark += f"\nreference {exact.value:.8g}"
@@ -165,8 +165,8 @@ class Averages(Result):
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """The names of those that a table shows: not a variance that was not computed,
-        and neither travel nor stretch at birth where contacts are born unstressed."""
+        """Names of the observables that a table shows: no variance that was not computed,
+        and neither travel nor stretch at birth if contacts are born unstretched."""
         hidden = {"force_variance"} if self.force_variance.value is None else set()
         if not (self.birth_stretch.value or self.birth_stretch.stderr):
             hidden |= {"travel", "birth_stretch"}
@@ -209,7 +209,7 @@ def difference(first: Estimate, second: Estimate) -> float | None:
     unknown."""
     if first.value is None or second.value is None:
         return None
-    if first.stderr is None or second.stderr is None:  # as of infinite values
+    if first.stderr is None or second.stderr is None:  # an infinite value has none
         return None
     sigma = math.hypot(first.stderr, second.stderr)
     return (first.value - second.value) / sigma if sigma else None
@@ -224,8 +224,8 @@ def z_score(
     Parameters
     ----------
     estimate : Estimate
-        With few batches its Student probability is turned into the normal score of the
-        same probability.
+        With `dof` its Student probability is turned into the normal score of the same
+        probability.
     reference, reference_error : float
         An exact value and the error of its solver.
 

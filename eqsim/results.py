@@ -1,5 +1,5 @@
-"""What results have in common: a version, a short text, a table in notebooks, a
-DataFrame, a picture, and friction in a laboratory's units."""
+"""Base of all results: a version, a short text, a table in notebooks, a DataFrame, a
+picture, and friction in a laboratory's units."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import fields
@@ -14,17 +14,16 @@ from eqsim.numerics.tables import Array
 # Version of the numbers that parameters and a seed give: lives, averages, references.
 # Identities and seeds of a sweep's points depend on it. Raise it by one when any of
 # these numbers changes by more than rounding, and not otherwise: all sweeps then start
-# anew. Libraries have no part in it: with other releases of these the same random
-# numbers are drawn, and `tests/test_portable.py` would notice if they were not.
+# anew. Other releases of libraries do not change it: they draw the same random numbers,
+# which `tests/test_portable.py` checks.
 RESULTS_VERSION = 1
-_MARKED = 50  # points of a curve up to which each is marked
+_MARKED = 50  # a curve of at most so many points has a marker at each
 _ALONG = {"t": "time  $t$", "X": "displacement  $X$"}
 
 
 class Drawn(NamedTuple):
-    """Which columns `Result.plot` draws, with the error of the second one if it has
-    one, and how the axes are labelled; `log`: on a logarithmic x axis; `dots`: no line.
-    """
+    """Columns that `Result.plot` draws: `x`, `y`, and the `error` of y or ""; and labels
+    of the axes. `log`: the x axis is logarithmic; `dots`: points without a line."""
 
     x: str
     y: str
@@ -44,13 +43,13 @@ class Physical(NamedTuple):
     unit: str
 
 
-# What F/(N k) is, given `units` and `interface`; None is that of the run file.
+# Quantities that F/(N k) is converted to by `units` and `interface` (None: run file's).
 Quantities = Callable[[Any, Any], Iterable[Any]]
 
 
 class Listed:
-    """An object whose completion by tab lists what a user means: `dir` names neither
-    private helpers nor what is there for tables and pictures alone."""
+    """An object whose tab completion is short: `dir` leaves out private names, and those
+    `unlisted`, which serve tables and pictures alone."""
 
     unlisted: ClassVar[tuple[str, ...]] = ("unlisted",)
 
@@ -64,17 +63,17 @@ class Listed:
 
 
 class Result(Listed):
-    """A frozen dataclass of numbers, estimates and arrays. Those that are curves say in
-    `drawn` what they draw."""
+    """A frozen dataclass of numbers, estimates and arrays. That of a curve names in
+    `drawn` the columns of its picture."""
 
     unlisted = ("drawn", "names", "shown")
     drawn: ClassVar[Drawn | None] = None
     _quantities: ClassVar[Quantities | None] = None  # each result has its own
 
     def in_units(self, units: Any = None, interface: Any = None) -> dict[str, Physical]:
-        """Give friction F/(N k), a length, as a force, a shear stress and a coefficient,
-        as the command line does. Other numbers are in the units of the run file, or of
-        the ensemble and the drive.
+        """Convert friction F/(N k), a length, to a force, a shear stress and a
+        coefficient, as the command line does. Other numbers are in the units of the run
+        file, or of the ensemble and the drive.
 
         Parameters
         ----------
@@ -106,9 +105,9 @@ class Result(Listed):
         1767.8 N, mu = 0.354
         """
         value, stderr = self._force()
-        told: Any = self._quantities
-        found = list(told(units, interface)) if told else []
-        if not found:
+        convert: Any = self._quantities
+        quantities = list(convert(units, interface)) if convert else []
+        if not quantities:
             raise InputError(
                 "in_units: neither a unit of force nor an interface is known; give "
                 "Units(...) and Interface(...), or a run file with [units]"
@@ -119,7 +118,7 @@ class Result(Listed):
                 None if stderr is None else one.factor * stderr,
                 one.unit,
             )
-            for one in found
+            for one in quantities
         }
 
     def _force(self) -> tuple[Any, Any]:
@@ -131,14 +130,14 @@ class Result(Listed):
         raise TypeError(f"{type(self).__name__} has no force F/(N k)")
 
     def columns(self) -> dict[str, Array]:
-        """Its arrays of one length by name."""
+        """One-dimensional arrays by name."""
         every = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
         arrays = {name: x for name, x in every.items() if isinstance(x, np.ndarray)}
         return {name: x for name, x in arrays.items() if x.ndim == 1}
 
     def estimates(self, *, brief: bool = False) -> dict[str, Any]:
-        """Its single numbers with error bars by name, also of the parts that have some;
-        if `brief`, not those that say nothing here."""
+        """Single numbers with error bars by name, also those of results among the fields;
+        if `brief`, without those that a table hides."""
         found: dict[str, Any] = {}
         for field in fields(self):  # type: ignore[arg-type]
             value = getattr(self, field.name)
@@ -159,15 +158,15 @@ class Result(Listed):
         return pd.DataFrame.from_dict(rows, orient="index")
 
     def plot(self, axes: Any = None, *, x: str = "", **style: Any) -> Any:
-        """Draw it with a band of two standard errors.
+        """Draw the curve with a band of two standard errors.
 
         Parameters
         ----------
         axes : matplotlib Axes, optional
-            Where; by default axes of a new figure, so that one result can be drawn on
-            another's.
+            Axes to draw on, such as those of another result; by default those of a new
+            figure.
         x : str, optional
-            Another column to draw it against, such as "t".
+            Another column for the x axis, such as "t".
         **style
             Passed to `Axes.plot`: label, color, ...
 
@@ -218,7 +217,7 @@ class Result(Listed):
         return axes
 
     def _said(self) -> list[str]:
-        """What the text of it says."""
+        """Parts of the text of a result."""
         said = [
             f"{name} {' '.join(str(estimate).split())}"
             for name, estimate in self.estimates(brief=True).items()
@@ -252,7 +251,7 @@ class Result(Listed):
 
 
 def tell_quantities(result: Any, quantities: Quantities) -> None:
-    """Let a result and its parts know what F/(N k) is."""
+    """Give a result, and results among its fields, the quantities of `in_units`."""
     if isinstance(result, Result):
         object.__setattr__(result, "_quantities", quantities)
     for field in fields(result):
@@ -262,7 +261,7 @@ def tell_quantities(result: Any, quantities: Quantities) -> None:
 
 
 def new_axes(**size: Any) -> Any:
-    """Axes of a new figure, as `plot` of a result begins one."""
+    """Axes of a new figure in the style of `Result.plot`."""
     from matplotlib import pyplot
 
     axes = pyplot.subplots(layout="constrained", **size)[1]
@@ -271,14 +270,15 @@ def new_axes(**size: Any) -> Any:
 
 
 def draw_band(axes: Any, x: Array, y: Array, error: Array, **line: Any) -> Any:
-    """Draw a curve with a band of an error to either side; both, for a legend."""
+    """Draw a curve with a band of an error to either side; return band and curve, for a
+    legend."""
     (curve,) = axes.plot(x, y, **line)
     look = {"color": curve.get_color(), "alpha": 0.3, "linewidth": 0}
     return axes.fill_between(x, y - error, y + error, **look), curve
 
 
 def _with_symbol(label: str) -> str:
-    """A label of an axis, with what follows two spaces set as mathematics."""
+    """A label of an axis; the symbol after two spaces is set as mathematics."""
     words, _, symbol = label.partition("  ")
     if not symbol:
         return words

@@ -153,7 +153,7 @@ def test_the_drift_in_a_passage(n, final, mobility, xi, x, h, end):
     straight ways, around which these scatter: it comes to be right where passages are
     rare, and is up to twice as large as it should be where they are likely."""
     c = pinned(
-        contacts(Ensemble(Gamma(n), aging=Aging("langevin", mobility, final)), 1.0)
+        contacts(Ensemble(Gamma(n), aging=Aging("langevin", mobility, final)), 1.0), 1.0
     )
     bare = math.exp(-(xi - x) * (end - x - h) / (mobility * h))
     exact, error = bridged(n, final, mobility, xi, x, h, end, bare)
@@ -174,7 +174,7 @@ def test_when_a_passage_comes(gap, ahead, length):
     from `gap` g0 above it to `ahead` g1 above it or below, by quadrature of its density
     g0/t^1.5 exp(-g0^2/4 D_v t) exp(-g1^2/4 D_v (L - t))/(L - t)^0.5 (reflection; 5000
     draws, p > 1e-5 in four cases). Of twice the mobility it is another."""
-    c = pinned(contacts(Ensemble(aging=Aging("langevin", 0.5, 2.0)), 1.0))
+    c = pinned(contacts(Ensemble(aging=Aging("langevin", 0.5, 2.0)), 1.0), 1.0)
     paths = [Path(key(5, 99), i, 0, 0, 1.0 + gap, 1.0, math.inf) for i in range(5000)]
     drawn = np.array(
         [meeting(c, path, length, 1.0 + length + ahead)[:2] for path in paths]
@@ -208,7 +208,7 @@ def test_steps_keep_their_distance(n, final, mobility):
     threshold meet, or moves the threshold by no more than STEP/4 of itself, drift and
     slider included (T = 0)."""
     c = pinned(
-        contacts(Ensemble(Gamma(n), aging=Aging("langevin", mobility, final)), 1.0)
+        contacts(Ensemble(Gamma(n), aging=Aging("langevin", mobility, final)), 1.0), 1.0
     )
     for xi, part in itertools.product((0.3, 1.0, 3.0), (0.0, 0.3, 0.9, 0.999)):
         x, rest = part * xi, final**2 * (n + 0.5)  # where repulsion and pull are even
@@ -247,7 +247,8 @@ def test_halfway_of_a_step(shape, length):
     given both ends: false alarm 5e-5 each. The half-way point of a straight line fails
     for long steps."""
     c = pinned(
-        contacts(Ensemble(Gamma(shape, 1.0), aging=Aging("langevin", 1.0, 2.0)), 1.0)
+        contacts(Ensemble(Gamma(shape, 1.0), aging=Aging("langevin", 1.0, 2.0)), 1.0),
+        1.0,
     )
     rng, final = np.random.default_rng(5), 4.0  # x_*f^2
 
@@ -481,7 +482,7 @@ def _one_by_one(c, stream, contact, births, clocks):
 @chosen("path", [*PATHS, (0.3, *PATHS[1][1:]), (1.3, *PATHS[5][1:])], [PATHS[4]])
 def test_paths_side_by_side_as_one_by_one(path):
     """To the last bit, however many there are and whatever else advances beside them."""
-    c = pinned(contacts(ensemble_of(path), 1.0))
+    c = pinned(contacts(ensemble_of(path), 1.0), 1.0)
     size, stream = 5 * WALKERS // 2, key(2, 97)
     births, clocks = np.random.default_rng(13).exponential(size=(2, size)) + 0.1
     single = _one_by_one(c, stream, 5, births, clocks)
@@ -506,7 +507,7 @@ def test_steps_of_many_paths_vectorise():
     ensemble = Ensemble(
         thermal=Thermal(0.1, 1.0, "stiff"), aging=Aging("langevin", 0.1, 2.0)
     )
-    c, stream = pinned(contacts(ensemble, 1.0)), key(0, 0)
+    c, stream = pinned(contacts(ensemble, 1.0), 1.0), key(0, 0)
     paths = Paths(np.arange(3), np.arange(3), *np.ones((4, 3)))
     walk_all(c, stream, STEP, paths, Walkers.empty())
     follow(c, Path(stream, 0, 0, 0, 1.0, 0.0, 1.0), math.inf, STEP)

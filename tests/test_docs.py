@@ -175,7 +175,7 @@ def test_pictures_are_drawn_by_commands():
     assert [path for path in shown if not path.exists()] == []
     found = set((DOCS / "pictures").glob("*.png"))
     assert found - shown == set()
-    measured = {"ns-by-part.png"}  # by a benchmark
+    measured = {"ns-by-part.png", "layers.png"}  # by benchmarks
     assert {path.name for path in found} - {"readme.png"} - measured == set(
         pages.pictures()
     )

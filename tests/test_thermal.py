@@ -1023,3 +1023,17 @@ def test_bad_temperature(arguments, message):
     with pytest.raises(InputError) as caught:
         Thermal(**arguments)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(("law", "error"), [(Soft, 1e-12), (Stiff, 1e-8)])
+def test_hazards_over_a_way(law, error):
+    """The difference of hazards that any barrier has against closed forms, over ways
+    down to 1e-12 of the stretch. Gauss's rule sees the root in the prefactor of a stiff
+    barrier from a tenth of the threshold: 1e-8."""
+    random = np.random.default_rng(1)
+    xi = random.uniform(0.3, 3.0, 10_000)
+    x = xi * random.uniform(0.01, 0.9, xi.size)
+    way, a = x * 10 ** random.uniform(-12, 0, xi.size), random.uniform(0.2, 20, xi.size)
+    exact = law(1.0, 1.0).hazard_over(x, way, xi, a)
+    found = base.Barrier.hazard_over(law(1.0, 1.0), x, way, xi, a)
+    np.testing.assert_allclose(found, exact, rtol=error, atol=0)

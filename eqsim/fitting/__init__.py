@@ -1,2 +1,1 @@
-"""From measurements to parameters: what they decide, with intervals, and what they
-cannot."""
+"""Fits of parameters to measurements: intervals, and what data cannot determine."""

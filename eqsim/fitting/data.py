@@ -29,8 +29,8 @@ _KNOWN_COLUMNS = (
 
 
 class MeasuredAt(NamedTuple):
-    """Conditions of a measurement: values of run-file keys, kT over that of the run
-    file, its set, and its line in the file."""
+    """Conditions of a measurement: values of run-file keys, kT over the run file's, its
+    set (measurements with one scale of force), and its line in the file."""
 
     changes: tuple[tuple[str, float], ...]
     heat: float
@@ -63,8 +63,8 @@ class Measurements(NamedTuple):
 
 
 class Line(NamedTuple):
-    """A line of a file of data: its number, its cells by column, and how messages about
-    it begin."""
+    """A line of a data file: its number, its cells by column, and the beginning of
+    messages about it."""
 
     number: int
     cells: dict[str, str]
@@ -76,8 +76,8 @@ class Line(NamedTuple):
 
 
 def lines(sheet: csv.Sheet, field: str) -> Iterator[Line]:
-    """The lines of a file of data but for a spreadsheet's last ones, which are empty.
-    Raises InputError."""
+    """The lines of a data file without the empty ones that spreadsheets append. Raises
+    InputError."""
     for number, cells in sheet.rows():
         if any(cells):
             named = dict(zip(sheet.columns, cells, strict=True))
@@ -85,7 +85,7 @@ def lines(sheet: csv.Sheet, field: str) -> Iterator[Line]:
 
 
 def read_table(path: Path, file: RunFile, fit: Fit) -> Measurements:
-    """The measurements of a CSV file.
+    """Read the measurements of a CSV file.
 
     Columns are float keys of the run file, the temperature column, observables, each
     with an optional _stderr, and `set`. An empty cell is the run file's value, or was

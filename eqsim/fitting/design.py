@@ -1,4 +1,4 @@
-"""Which measurement to make next: the one after which a key is expected to be known
+"""Choice of the next measurement: the one after which a key is expected to be known
 best (Fisher information)."""
 
 import json
@@ -20,12 +20,12 @@ from eqsim.numerics.tables import Array
 # Candidates between the limits.
 _VELOCITIES = 41
 _TEMPERATURES = 7
-# How far velocities may be beyond those of the data, by default.
+# Factor by which velocities may be beyond those of the data, by default.
 _BEYOND = 10.0
 
 
 class Limits(NamedTuple):
-    """The smallest and the largest value that may be measured at."""
+    """The smallest and the largest velocity or temperature that may be measured at."""
 
     low: float
     high: float
@@ -83,8 +83,8 @@ def design(
     velocities: Limits | None = None,
     temperatures: Limits | None = None,
 ) -> Design:
-    """The next measurements of friction for a free key of the fit in a folder, one
-    after the other, each the best given those before.
+    """Choose the next `count` measurements of friction for a free key of the fit in the
+    folder `fitted`, one after the other, each the best given those before.
 
     By default velocities go up to ten times beyond those of the data, and temperatures
     are those of the data. Raises InputError if the folder holds no fit of these data,
@@ -116,8 +116,8 @@ def _best(fitted: Path, prepared: Prepared) -> Array:
     """The parameters of a fit in a folder. Raises InputError unless it is one of these
     data and keys."""
     try:
-        found = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
-        digest, known = found["data_sha256"], found["parameters"].items()
+        summary = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
+        digest, known = summary["data_sha256"], summary["parameters"].items()
         values = {key: float(one["estimate"]) for key, one in known}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"--fit {fitted}: holds no fit.json of `eqsim fit`") from None
@@ -134,8 +134,8 @@ def _best(fitted: Path, prepared: Prepared) -> Array:
 def _candidates(
     prepared: Prepared, velocities: Limits | None, temperatures: Limits | None
 ) -> tuple[Array, Array]:
-    """Velocities and temperatures, arrays (candidates,); the run file's temperature
-    without a column of them."""
+    """Velocities and temperatures of candidates, arrays (candidates,); data without a
+    column of temperatures have one."""
     table = prepared.table
     known = [v for v in map(velocity_of, table.rows) if v is not None]
     if velocities is None:

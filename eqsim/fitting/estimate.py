@@ -1,5 +1,4 @@
-"""Least squares from many starts, and what it says about parameters: covariance and the
-ladder of directions."""
+"""Least squares from many starts, and its covariance, eigenvectors and eigenvalues."""
 
 import math
 import pickle
@@ -21,7 +20,7 @@ from eqsim.numerics.tables import Array
 
 # Ratio of eigenvalues of J'J below which a direction is not determined.
 DEGENERATE = 1e-7
-# Minima whose chi-square differs by less are the same one.
+# Minima whose chi-square differs by less are taken for the same one.
 SAME_MINIMUM = 0.1
 # Relative changes of chi-square, parameters and gradient at which a search ends.
 _SEARCH_TOLERANCE = 1e-8
@@ -38,11 +37,11 @@ class Minimum(NamedTuple):
 
 
 def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
-    """Least squares from `u`, where the parameter of index `held` stays; linear ones
-    need no start."""
+    """Least squares from `u`, with the parameter of index `held` fixed; linear ones need
+    no start."""
     searched = np.flatnonzero(~problem.linear & (np.arange(u.size) != held))
     low, high = problem.low[searched], problem.high[searched]
-    known: dict[bytes, Array] = {}  # least squares ask twice
+    known: dict[bytes, Array] = {}  # SciPy asks for some points twice
 
     def residuals(x: Array) -> Array:
         if x.tobytes() not in known:
@@ -67,7 +66,7 @@ def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
         r = residuals(u[searched])
         return Minimum(problem.solved(u, held).u, float(r @ r), True, 1)
     inset = 1e-9 * (high - low)
-    found = optimize.least_squares(
+    least = optimize.least_squares(
         residuals,
         np.clip(u[searched], low + inset, high - inset),
         jacobian,
@@ -76,16 +75,17 @@ def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
         max_nfev=200,
     )
     full = u.copy()
-    full[searched] = found.x
-    chi2 = 2.0 * float(found.cost)
+    full[searched] = least.x
+    chi2 = 2.0 * float(least.cost)
     refused = chi2 > 0.9 * REFUSED**2
     if not refused:
         full = problem.solved(full, held).u
-    return Minimum(full, chi2, found.status > 0 and not refused, len(known))
+    return Minimum(full, chi2, least.status > 0 and not refused, len(known))
 
 
 def starts(problem: Problem, count: int, seed: int) -> list[Array]:
-    """The run file's values, and others spread evenly between the bounds."""
+    """Points to start from: the run file's values, and a Latin hypercube between the
+    bounds."""
     rng = np.random.default_rng(seed)
     sampler = qmc.LatinHypercube(len(problem.parameters), rng=rng)
     width = problem.high - problem.low
@@ -93,8 +93,8 @@ def starts(problem: Problem, count: int, seed: int) -> list[Array]:
 
 
 def check_starts(problem: Problem, every: list[Array]) -> None:
-    """Raise InputError where the reference refuses, and say which key and bound it
-    takes."""
+    """Raise InputError if the reference refuses one of these starts, naming the key and
+    the bound at fault."""
     for u in every:
         error = _refusal(problem, u)
         if error is None:
@@ -117,7 +117,7 @@ def _refusal(problem: Problem, u: Array) -> InputError | None:
     """The error of the reference if it has no predictions."""
     try:
         problem.given(u)
-    except TooManySteps:  # as far from the data as may be, but no mistake
+    except TooManySteps:  # slips too often here, but a search may leave
         return None
     except InputError as error:
         return error
@@ -127,8 +127,8 @@ def _refusal(problem: Problem, u: Array) -> InputError | None:
 @dataclass(frozen=True)
 class Tasks:
     """Independent tasks, computed by an executor, or one after the other by this
-    process. A folder of one computation keeps their results, by name and number, for
-    when it is stopped and begun again."""
+    process. A `folder` keeps their results, by name and number, so that a computation
+    that was stopped can go on."""
 
     executor: Executor | None = None
     folder: Path | None = None
@@ -140,8 +140,8 @@ class Tasks:
         tasks: Sequence[tuple[Any, ...]],
         done: Callable[[], None] = lambda: None,
     ) -> list[Any]:
-        """Results in the order of the tasks, whoever computes them; those that are kept
-        are not computed again. Raises InputError if one cannot be kept."""
+        """Results in the order of the tasks; those that are kept are not computed again.
+        Raises InputError if one cannot be kept."""
         files = [f"{name}-{index}.pickle" for index in range(len(tasks))]
         found, missing = dict[str, Any](), dict[str, tuple[Any, ...]]()
         for file, task in zip(files, tasks, strict=True):
@@ -171,12 +171,12 @@ class Tasks:
 
 
 def different(minima: Sequence[Minimum]) -> list[Minimum]:
-    """Minima that converged, the best first, one of equal ones."""
-    found: list[Minimum] = []
+    """Distinct minima that converged, the best first."""
+    distinct: list[Minimum] = []
     for one in sorted((m for m in minima if m.converged), key=lambda m: m.chi2):
-        if not any(abs(one.chi2 - other.chi2) < SAME_MINIMUM for other in found):
-            found.append(one)
-    return found
+        if not any(abs(one.chi2 - other.chi2) < SAME_MINIMUM for other in distinct):
+            distinct.append(one)
+    return distinct
 
 
 class Direction(NamedTuple):
@@ -191,23 +191,23 @@ class Direction(NamedTuple):
 
 
 def ladder(keys: list[str], jacobian: Array) -> list[Direction]:
-    """Directions in the space of the parameters' variables, best determined first."""
+    """Eigenvectors of J'J in the space of parameters' variables, best determined first."""
     missing = max(len(keys) - len(jacobian), 0)  # fewer measurements than parameters
     padded = np.vstack((jacobian, np.zeros((missing, len(keys)))))
     _, singular, rows = np.linalg.svd(padded, full_matrices=False)
-    found = []
+    directions = []
     for value, row in zip((singular**2).tolist(), rows, strict=True):
         row = row * np.sign(row[np.argmax(np.abs(row))])
         components = dict(zip(keys, row.tolist(), strict=True))
         ratio, sd = 0.0, math.inf
         if value > 0:
             ratio, sd = float(value / singular[0] ** 2), 1.0 / math.sqrt(value)
-        found.append(Direction(value, ratio, sd, components, _product(components)))
-    return found
+        directions.append(Direction(value, ratio, sd, components, _product(components)))
+    return directions
 
 
 def _product(components: dict[str, float]) -> str:
-    """A product of powers of the keys that a direction moves, that which moves most
+    """Name of a direction: a product of powers of its keys, the largest component
     first."""
     order = sorted(components.items(), key=lambda item: -abs(item[1]))
     powers = {key: part / order[0][1] for key, part in order}
@@ -221,7 +221,7 @@ def _product(components: dict[str, float]) -> str:
 def covariance(jacobian: Array) -> Array:
     """Inverse of J'J; infinite variances where it is singular."""
     try:
-        found = np.linalg.inv(jacobian.T @ jacobian)
+        inverse = np.linalg.inv(jacobian.T @ jacobian)
     except np.linalg.LinAlgError:
         return np.full((jacobian.shape[1],) * 2, np.inf)
-    return found if np.all(np.diag(found) >= 0) else np.full_like(found, np.inf)
+    return inverse if np.all(np.diag(inverse) >= 0) else np.full_like(inverse, np.inf)

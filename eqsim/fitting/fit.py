@@ -1,4 +1,4 @@
-"""Fits: from a run file with a [fit] section to what its data decide."""
+"""Fits: from a run file with a [fit] section to a `FitResult`."""
 
 import hashlib
 import math
@@ -36,23 +36,24 @@ from eqsim.sweeps.workers import Workers
 REJECTED = 1e-3
 # Error of the solver over that of a measurement from which on there is a warning.
 _NOISE_FLOOR = 0.1
-# Half of a 95 % interval over the standard deviation, which data cannot make smaller.
+# Half of a 95 % interval over the standard deviation: a smaller one comes of roughness
+# of the solver.
 _ROUGH_WIDTH = 0.1
 # Distance from a bound, over that of the bounds, at which a parameter is there.
 _AT_BOUND = 1e-3
-# How often a profile may find a better fit.
+# Rounds of profiles, each from the better fit that the one before has found.
 _MOST_FITS = 3
-# How often residuals tell the correlation of errors.
+# Rounds in which residuals give the correlation of errors.
 _WHITENED = 2
-# Seconds after which results of a fit that was stopped are removed, 30 days.
+# Seconds after which results of a fit that was stopped are removed: 30 days.
 _FORGOTTEN_SECONDS = 30 * 86400.0
 
 Progress = Callable[[int, float], None]
 
 
 class Interval(NamedTuple):
-    """Knowledge of a key: its best value, the profile intervals with None for an open
-    side, and a status."""
+    """Result for a key: its best value, the standard deviation of its variable, the
+    profile intervals with None for an open side, and a status."""
 
     key: str
     estimate: float
@@ -64,8 +65,8 @@ class Interval(NamedTuple):
 
 class Goodness(NamedTuple):
     """Agreement of a model with data: chi-square (priors included), degrees of freedom,
-    the probability of more (None without degrees of freedom), -2 ln L, and the criteria
-    of Akaike (corrected) and Bayes."""
+    the probability of a larger chi-square (None without degrees of freedom), -2 ln L,
+    and the criteria of Akaike (corrected) and Bayes."""
 
     chi2: float
     dof: int
@@ -83,7 +84,7 @@ class FitResult:
     ----------
     file : RunFile
     fit : Fit
-        Its [fit] section.
+        The [fit] section.
     problem : Problem
     table : Measurements
     best : Minimum
@@ -96,7 +97,7 @@ class FitResult:
     noticed : list of str
         Warnings from before the fit.
     correlation : Correlation or None
-        Of the errors of a record.
+        Correlation of the errors of a record.
     """
 
     file: RunFile
@@ -167,9 +168,9 @@ class FitResult:
     @cached_property
     def warnings(self) -> list[str]:
         """Warnings from before the fit, and doubts about its numbers."""
-        found, rough = [*self.noticed], []
+        doubts, rough = [*self.noticed], []
         if self.floor > _NOISE_FLOOR:
-            found.append(
+            doubts.append(
                 f"noise floor: the solver's own error is {self.floor:.2g} of a "
                 "measurement's standard error"
             )
@@ -177,7 +178,7 @@ class FitResult:
         for one, x, error in zip(parameters, self.best.u, sd, strict=True):
             for bound in (one.low, one.high):
                 if abs(x - bound) < _AT_BOUND * (one.high - one.low):
-                    found.append(
+                    doubts.append(
                         f"{one.key} is at its bound {float(one.value(bound)):g}: "
                         "values and intervals of the other keys depend on this bound"
                     )
@@ -187,11 +188,11 @@ class FitResult:
             if one.low < x < one.high and nearest < _ROUGH_WIDTH * error:
                 rough.append(one.key)
         if rough:
-            found.append(
+            doubts.append(
                 f"intervals of {', '.join(rough)} end at roughness of the solver: not "
                 "to be trusted"
             )
-        return found
+        return doubts
 
     def to_pandas(self) -> Any:
         """A DataFrame of the keys, one a row: estimate, ends of the 68 and 95 %
@@ -235,8 +236,7 @@ class FitResult:
 
 
 class Prepared(NamedTuple):
-    """A fit before the work: its section, measurements and problem, and what was
-    noticed."""
+    """A fit before the work: its section, measurements and problem, and warnings."""
 
     fit: Fit
     table: Measurements
@@ -267,7 +267,7 @@ def prepare(file: RunFile, data: Path | None, allow_degenerate: bool) -> Prepare
 
 
 def _measured(file: RunFile, section: Fit, data: Path | None) -> Measurements:
-    """The measurements. Raises InputError."""
+    """Read the table or the record of measurements. Raises InputError."""
     field, name = "fit.data", section.data
     if section.record is not None:
         field, name = "fit.record.file", section.record.file
@@ -311,16 +311,16 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
         root = math.sqrt(file["contacts.count"])
         unit = np.where(spread, fixed / root, np.where(force, fixed, 1.0))
     return Problem(
-        forward,
-        [*parameters, *scales, *(one for one in free if one.key in nuisance)],
-        value,
-        table.sigma,
-        scale_of,
-        unit,
-        spread,
-        file["contacts.stiffness"],
-        nuisance,
-        section.loss,
+        forward=forward,
+        parameters=[*parameters, *scales, *(p for p in free if p.key in nuisance)],
+        value=value,
+        sigma=table.sigma,
+        scale_of=scale_of,
+        unit=unit,
+        spread=spread,
+        stiffness=file["contacts.stiffness"],
+        nuisance=nuisance,
+        loss=section.loss,
         step=DERIVATIVE_STEP if table.time is None else record.STEP_CHOSEN,
     )
 
@@ -331,7 +331,7 @@ def _check_rows(file: RunFile, table: Measurements) -> None:
     for name in ("programme", "file", "stage"):
         if file[f"drive.{name}"] is not None:
             raise InputError(f"drive.{name}: not allowed with fit.data, steady values")
-    _ = file.ensemble  # what the run file itself has wrong is not a row's fault
+    _ = file.ensemble  # its own errors must not name a row
     seen = set()
     for row in table.rows:
         if row.changes in seen:
@@ -360,16 +360,16 @@ def fit(
     Parameters
     ----------
     file : RunFile, Path or str
-        With a [fit] section, or the path of one; `output.seed` draws the starts.
+        Run file with a [fit] section, or its path; `output.seed` draws the starts.
     folder : Path, optional
-        That paths in the run file are relative to; by default its own folder.
+        Folder that paths in the run file are relative to; by default its own.
     data : Path or str, optional
         Measurements, instead of the section's.
     starts : int
         Points from which a least-squares fit begins: the run file's values, and others
         between the bounds.
     allow_degenerate : bool
-        Whether to go on where the data cannot separate free keys.
+        True to go on where the data cannot separate free keys.
     workers : int
         Processes; they change speed, never a number.
     keep : Path, optional
@@ -449,7 +449,7 @@ def _singular(problem: Problem, allowed: bool) -> list[str]:
 
 
 def _search(problem: Problem) -> Callable[[Problem, Array], Minimum]:
-    """Least squares from one start, of a table or of a record."""
+    """The function that searches from one start, for a table or for a record."""
     of_record = isinstance(problem.forward, RecordForward)
     return record.search_record if of_record else estimate.minimise
 
@@ -461,8 +461,8 @@ def _fitted(
     tasks: Tasks,
     progress: Progress,
 ) -> FitResult:
-    """Least squares from every start, and profiles about the best one, which is sought
-    again from where a profile finds a better one."""
+    """Least squares from every start, and profiles about the best fit; where a profile
+    finds a better one, least squares again from there."""
     section, table, problem, warnings = prepared
     number = len(problem.parameters)
     total, done = len(every) + 2 * number, 0
@@ -501,7 +501,7 @@ def _fitted(
 
 
 def goodness(problem: Problem, u: Array) -> Goodness:
-    """Agreement of a fit with parameters `u` with its data."""
+    """Agreement of a problem's data with its parameters `u`."""
     r = problem.whitened(problem.solved(u).predicted)
     n, k = problem.value.size, len(problem.parameters)
     priors = problem.residuals(u)[n:]
@@ -521,30 +521,30 @@ def goodness(problem: Problem, u: Array) -> Goodness:
 
 
 def derived(result: FitResult) -> dict[str, float]:
-    """Groups that the best fit implies: F0 = N k x_* (scale times x_*), v0 = omega x_*,
-    b, v_* of annealed contacts, and where the section gives an area or a normal stress,
-    contacts per area and their spacing."""
+    """Groups of the best fit: F0 = N k x_* (scale times x_*), v0 = omega x_*, b, v_* of
+    annealed contacts, and where the section gives an area or a normal stress, contacts
+    per area and their spacing."""
     ensemble = at(result.file, result.changes).ensemble
     thermal, unit = ensemble.thermal, ensemble.thresholds.scale
     scales, scale = result.fit.scales(result.table.sets)
     if scales:
         scale = result.values[scales[0].key]
-    found = {"F0 = N k x_*": scale * unit}
+    groups = {"F0 = N k x_*": scale * unit}
     if thermal.kT > 0:
         kelvin = result.file.units.kelvin(thermal.kT)
         if kelvin is not None:
-            found["T of kT (K)"] = kelvin
-        found["v0 = omega x_*"] = thermal.attempt_frequency * unit
-        found["b = k x_*^2/(2 kT)"] = ensemble.b
+            groups["T of kT (K)"] = kelvin
+        groups["v0 = omega x_*"] = thermal.attempt_frequency * unit
+        groups["b = k x_*^2/(2 kT)"] = ensemble.b
         if ensemble.disorder == "annealed":
-            found["v_*"] = ensemble.crossover_velocity
+            groups["v_*"] = ensemble.crossover_velocity
     area, stress = result.fit.area, result.fit.normal_stress
     per_area = 1.0 / area if area is not None else stress
     if per_area is not None:
         density = scale / ensemble.stiffness * per_area
-        found["contacts per area"] = density
-        found["spacing of contacts"] = 1.0 / math.sqrt(density)
-    return {name: float(value) for name, value in found.items()}
+        groups["contacts per area"] = density
+        groups["spacing of contacts"] = 1.0 / math.sqrt(density)
+    return {name: float(value) for name, value in groups.items()}
 
 
 def compared(result: FitResult, other: RunFile, starts: int) -> Goodness:

@@ -67,16 +67,16 @@ class SteadyForward:
     @cached_property
     def groups(self) -> dict[Any, list[int]]:
         """Measurements by the changes (without velocity) and heat that they share."""
-        found: dict[Any, list[int]] = {}
+        members: dict[Any, list[int]] = {}
         for index, row in enumerate(self.rows):
-            rest = tuple(part for part in row.changes if part[0] != "drive.velocity")
-            found.setdefault((rest, row.heat), []).append(index)
-        return found
+            rest = tuple(pair for pair in row.changes if pair[0] != "drive.velocity")
+            members.setdefault((rest, row.heat), []).append(index)
+        return members
 
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
         """See `Forward`. The standard deviation of the force is that of one contact
         over k, at unit scale."""
-        found = np.empty((len(self.rows), 2))
+        predicted = np.empty((len(self.rows), 2))
         for (rest, heat), members in self.groups.items():
             file = at(self.file, {**changes, **dict(rest)})
             if heat != 1.0:
@@ -88,13 +88,13 @@ class SteadyForward:
             names = [self.observable[index] for index in members]
             if not set(AVERAGES).isdisjoint(names):
                 steady = curve(file.ensemble, np.array(v))
-            for place, (index, name) in enumerate(zip(members, names, strict=True)):
+            for i, (index, name) in enumerate(zip(members, names, strict=True)):
                 if name in AVERAGES:
                     pair = getattr(steady, name), getattr(steady, f"{name}_error")
-                    found[index] = pair[0][place], pair[1][place]
+                    predicted[index] = pair[0][i], pair[1][i]
                 else:
-                    found[index] = other_observable(file.ensemble, v[place], name)
-        value, error = found.T
+                    predicted[index] = other_observable(file.ensemble, v[i], name)
+        value, error = predicted.T
         return value, error
 
 
@@ -130,30 +130,30 @@ class Solved(NamedTuple):
 
 @dataclass(frozen=True)
 class Problem:
-    """A fit: measurements with their errors, what predicts them, and what is free.
-    Arrays have the shape (measurements,)."""
+    """A fit: measurements with their errors, the source of predictions, and the free
+    parameters. Arrays have the shape (measurements,)."""
 
     forward: Forward
     parameters: list[Parameter]
     value: Array
     sigma: Array
-    # Which parameter is the scale of a measured force, or -1; what multiplies
-    # predictions besides; and which are standard deviations of the force, which go as
-    # the root of a free scale.
+    # Index of the parameter that is the scale of a measured force, or -1.
     scale_of: Array
+    # Fixed factor of predictions.
     unit: Array
+    # True of standard deviations of the force, which go as the root of a free scale.
     spread: Array
     # Stiffness of a contact, if it is not free.
     stiffness: float = 1.0
-    # Functions by key in which predictions are linear, too, at unit parameter.
+    # Functions added to predictions, by the key of their linear factor.
     nuisance: dict[str, Array] = field(default_factory=dict)
     loss: str = "gaussian"
     # Correlation of the errors of neighbours, (measurements - 1,), which form a Markov
     # chain; None if they are independent.
     correlation: Array | None = None
-    # Step of derivatives in the variables of parameters, and whether a search takes
-    # them to both sides: one-sided ones lead it astray in long valleys of a model that
-    # is far from the data.
+    # Step of derivatives in the variables of parameters, and whether those of a search
+    # are central: one-sided ones lead it astray in long valleys of a model that is far
+    # from the data.
     step: float = DERIVATIVE_STEP
     central: bool = False
 
@@ -170,7 +170,7 @@ class Problem:
         return np.array([self._exact(p) and not p.prior for p in self.parameters])
 
     def _exact(self, one: Parameter) -> bool:
-        """True if derivatives with respect to a parameter take no other solve."""
+        """True if derivatives with respect to a parameter take no further solve."""
         return one.linear and (one.key in self.nuisance or not self.forward.scaled)
 
     @cached_property
@@ -210,7 +210,7 @@ class Problem:
         return factor
 
     def _combined(self, raw: Array, values: dict[str, float]) -> Array:
-        """Predictions, made of those at unit scale."""
+        """Predictions, from those at unit scale."""
         added = [values[key] * base for key, base in self.nuisance.items()]
         return np.asarray(self._factor(values) * raw + sum(added))
 
@@ -224,7 +224,7 @@ class Problem:
         return self._combined(self.forward.predict(self.changes(u))[0], self.values(u))
 
     def solved(self, u: Array, held: int = -1) -> Solved:
-        """Solve for the linear parameters but that of index `held`. Raises
+        """Solve for the linear parameters, except that of index `held`. Raises
         InputError."""
         raw, error = self.forward.predict(self.changes(u))
         u, values = u.copy(), self.values(u)
@@ -244,7 +244,7 @@ class Problem:
         return Solved(u, self._combined(raw, values), error * self._factor(values))
 
     def residuals(self, u: Array, held: int = -1) -> Array:
-        """Numbers whose sum of squares is -2 ln L but for a constant, priors included;
+        """Numbers whose sum of squares is -2 ln L plus a constant, priors included;
         large where the reference refuses."""
         try:
             u, predicted, _ = self.solved(u, held)
@@ -258,7 +258,7 @@ class Problem:
 
     def _deviates(self, u: Array, predicted: Array) -> Array:
         r = self.whitened(predicted)
-        if self.loss == "student":  # those of a Gaussian with the same likelihood
+        if self.loss == "student":  # normal deviates of the same likelihood
             r = np.sign(r) * np.sqrt((STUDENT + 1.0) * np.log1p(r**2 / STUDENT))
         pairs = zip(self.parameters, u, strict=True)
         priors = [(x - p.prior.mean) / p.prior.sd for p, x in pairs if p.prior]
@@ -299,9 +299,9 @@ class Problem:
         return np.vstack((self.white(np.array(columns).T), *priors))
 
     def density(self, u: Array) -> float:
-        """Logarithm of the posterior density of the parameters' variables, but for a
-        constant: of the prior, which is flat where the run file has none, times the
-        likelihood; -inf beyond the bounds and where the reference refuses."""
+        """Logarithm of the posterior density of the parameters' variables, up to a
+        constant: prior, flat where the run file has none, times likelihood; -inf beyond
+        the bounds and where the reference refuses."""
         if np.any((u < self.low) | (u > self.high)):
             return -math.inf
         try:
@@ -317,8 +317,8 @@ class Problem:
         return jacobian * np.where(straight, self.high - self.low, 1.0)
 
     def elsewhere(self, index: int, rows: Sequence[MeasuredAt]) -> "Problem":
-        """The fit of measurements like that with an index, made at other `rows`; values
-        and errors are 1."""
+        """The problem of measurements like the one with an index, made at other `rows`;
+        values and errors are 1."""
         forward, same = self.forward, np.full(len(rows), index)
         assert isinstance(forward, SteadyForward)
         names = [forward.observable[index]] * len(rows)

@@ -38,8 +38,8 @@ _OBSERVABLE_LABELS = {
 
 
 def band(problem: Problem, result: "FitResult") -> tuple[Array, Array]:
-    """Predictions of `problem` with the parameters of a fit and their standard
-    deviations, by their derivatives and J'J of the fit inverted, but for directions
+    """Predictions of `problem` with the parameters of a fit, and their standard
+    deviations by linear propagation of the covariance of the fit, without directions
     that have no effect."""
     u, step = result.best.u, problem.step
     values, columns = problem.given(u), []
@@ -55,8 +55,8 @@ def band(problem: Problem, result: "FitResult") -> tuple[Array, Array]:
 
 
 class _Abscissa(NamedTuple):
-    """What measurements are drawn against: values, a label, and whether they are
-    velocities or times, along which a fit is a curve."""
+    """The abscissa of measurements: values, a label, and whether they are velocities or
+    times, along which a fit is drawn as a curve."""
 
     values: Array
     label: str
@@ -197,7 +197,6 @@ def profiles_figure(result: "FitResult", title: str) -> Figure:
 
 
 def _draw_profile(result: "FitResult", index: int, panel: Any) -> None:
-    """Draw the profile of a parameter."""
     one, known = result.problem.parameters[index], result.intervals[index]
     low, high = result.profiles[one.key]
     u = np.concatenate((low.points[::-1, index], high.points[1:, index]))
@@ -228,8 +227,8 @@ def _draw_profile(result: "FitResult", index: int, panel: Any) -> None:
 
 @styled
 def identifiability_figure(result: "FitResult", title: str) -> Figure:
-    """How far parameters may move along each eigenvector of J'J, and what these consist
-    of."""
+    """Standard deviation of the parameters along each eigenvector of J'J, and components
+    of these."""
     rungs, keys = result.ladder, result.problem.keys
     size = (4.5 + 1.1 * len(keys), 1.8 + 0.6 * len(keys))
     figure = Figure(figsize=size)

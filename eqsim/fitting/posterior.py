@@ -1,8 +1,8 @@
-"""The posterior of a fit, drawn by the ensemble sampler of emcee, beside profile
-intervals, never instead of them.
+"""The posterior of a fit, drawn by the ensemble sampler of emcee, in addition to profile
+intervals.
 
 The prior is that of the run file, and else flat between the bounds in the variable of
-each parameter: where data decide little, the posterior says what the bounds are.
+each parameter: where data determine little, the posterior depends on the bounds.
 """
 
 import math
@@ -20,15 +20,15 @@ from eqsim.sweeps.workers import Workers
 
 # Shares of the posterior below the ends of an interval.
 SHARES = {"68": (0.16, 0.84), "95": (0.025, 0.975)}
-# Autocorrelation times, from which on emcee's estimate of that time can be trusted.
+# Autocorrelation times of a chain from which emcee's estimate of them can be trusted.
 _ENOUGH_TIMES = 50.0
 # Walkers of each parameter, and at least.
 _WALKERS = 4
 _LEAST_WALKERS = 16
-# Steps at most, and after how many the chain is looked at.
+# Steps at most, and between estimates of the autocorrelation time.
 _STEPS_AT_MOST = 10_000
 _CHECKED = 100
-# The share of the steps that is left out, 1/4.
+# The first 1/4 of the steps is left out.
 _SETTLING = 4
 
 
@@ -41,13 +41,13 @@ class Posterior:
     problem : Problem
         The fit.
     points : ndarray, shape (draws, parameters)
-        In the variables of parameters.
+        Draws of the variables of parameters.
     density : ndarray, shape (draws,)
-        Logarithm of the posterior density of these variables, but for a constant.
+        Logarithm of the posterior density of these variables, up to a constant.
     walkers, steps : int
-        Of the sampler, the steps that count.
+        Walkers of the sampler, and its steps without the first ones, left out.
     autocorrelation : float
-        Steps after which a walker has forgotten where it was, of the slowest parameter.
+        Integrated autocorrelation time of the slowest parameter, in steps.
     acceptance : float
         Share of moves that were accepted.
     """
@@ -67,8 +67,8 @@ class Posterior:
 
     @property
     def converged(self) -> bool:
-        """True of a chain so long that its autocorrelation time, and so its quantiles,
-        can be trusted."""
+        """True if the chain is so long that its autocorrelation time, and so its
+        quantiles, can be trusted."""
         return self.steps >= _ENOUGH_TIMES * self.autocorrelation
 
     @property
@@ -150,18 +150,17 @@ def posterior(
     Parameters
     ----------
     result : FitResult
-        Whose data, model, bounds, priors and seed are used; walkers start around its
-        best fit.
+        Its data, model, bounds, priors and seed are used; walkers start around its best
+        fit.
     workers : int
         Processes; they change speed, never a number.
     progress : callable, optional
-        `progress(done, total)` counts steps; the total is what is needed by all that is
-        known so far.
+        `progress(done, total)` counts steps; the total is estimated anew on the way.
 
     Returns
     -------
     Posterior
-        Of 50 autocorrelation times, or of 10 000 steps, whichever is less.
+        Draws over 50 autocorrelation times, or 10 000 steps, whichever is less.
 
     Raises
     ------
@@ -190,8 +189,8 @@ def draw_posterior(
     executor: Executor | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Posterior:
-    """Draw as `posterior` does, by the `covariance` about the `best` fit, shapes
-    (parameters, parameters) and (parameters,)."""
+    """Draw as `posterior` does, from walkers about the `best` fit, (parameters,), spread
+    by its `covariance`, (parameters, parameters)."""
     emcee = require_package("posterior", "emcee")
 
     def densities(points: Array) -> Array:
@@ -218,7 +217,7 @@ def draw_posterior(
             continue
         chain = sampler.get_chain(discard=done // _SETTLING)
         tau = float(np.max(emcee.autocorr.integrated_time(chain, tol=0)))
-        if not math.isfinite(tau):  # not known of walkers that have not moved
+        if not math.isfinite(tau):  # no walker has moved
             tau = math.inf
         if len(chain) >= _ENOUGH_TIMES * tau:
             break
@@ -238,8 +237,8 @@ def _around(
     """Points about a best fit, spread as its covariance says, inside the bounds."""
     low, high, zero = problem.low, problem.high, np.zeros(best.size)
     finite, width = np.where(np.isfinite(covariance), covariance, 0.0), high - low
-    how: Any = {"method": "eigh", "check_valid": "ignore"}
-    steps = rng.multivariate_normal(zero, finite, n, **how)
+    options: Any = {"method": "eigh", "check_valid": "ignore"}
+    steps = rng.multivariate_normal(zero, finite, n, **options)
     longest = np.maximum(np.max(np.abs(steps) / width, axis=1), 1e-300)
     steps *= np.minimum(1.0, 0.4 / longest)[:, None]
     # directions of no known width

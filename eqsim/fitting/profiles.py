@@ -14,7 +14,7 @@ from eqsim.numerics.tables import Array
 # Chi-square over its least value at the ends of intervals (chi-square law, one degree
 # of freedom).
 LEVELS = {"68": 0.9889, "95": 3.8415}
-# Half-width of a 68 % interval of a logarithm, a factor 3, from which on nothing is
+# Half-width of a 68 % interval of a logarithm, a factor 3, beyond which a key is not
 # determined.
 WIDE = 1.1
 # Rise of chi-square that a step aims at, and the most it may be.
@@ -22,7 +22,7 @@ _RISE_AIMED_AT = 1.5
 _LARGEST_RISE = 6.0
 # Points of a profile before its ends are sought.
 _MOST_POINTS = 40
-# How close to a level a point must be, and how many are tried for it.
+# Distance of a point from a level that is close enough, and how many are tried for it.
 _CLOSE_RISE = 0.02
 _TRIES_FOR_END = 8
 
@@ -30,8 +30,8 @@ _TRIES_FOR_END = 8
 class Side(NamedTuple):
     """A profile on one side of the best fit, the best fit first: all parameters, shape
     (points, parameters), and rise of chi-square, (points,); ends of the intervals by
-    level in the variable, None where it reaches the bound first; and whether the fit is
-    better somewhere."""
+    level in the variable, None where it reaches the bound first; and whether a point
+    fits better than the best fit."""
 
     points: Array
     rise: Array
@@ -58,8 +58,8 @@ class _Profile:
         self.points = [_Point(0.0, 0.0, best.u)]
 
     def solve(self, distance: float) -> _Point:
-        """The point at a distance, from a guess along the line through its neighbours;
-        where that leads astray also from the nearest point."""
+        """Minimise at a distance, from a guess along the line through the two nearest
+        points; where that leads astray also from the nearest one."""
         near, *others = sorted(self.points, key=lambda p: abs(p.distance - distance))
         guess = near.u
         if others and abs(near.distance - others[0].distance) > 1e-12:
@@ -120,8 +120,8 @@ class _Profile:
 
 
 def side(problem: Problem, best: Minimum, index: int, sign: int, sd: float) -> Side:
-    """Follow the profile of a parameter to the side of a `sign`, to the bound or where
-    chi-square has risen enough. About its standard deviation is the first step."""
+    """Follow the profile of a parameter up (`sign` 1) or down (-1), to the bound or until
+    chi-square has risen enough. The first step is about the standard deviation `sd`."""
     profile = _Profile(problem, best, index, sign)
     length = profile.length
     if length > 0:
@@ -134,9 +134,9 @@ def side(problem: Problem, best: Minimum, index: int, sign: int, sd: float) -> S
 
 
 def status(low: Side, high: Side, transform: str) -> str:
-    """ "determined" if the 95 % interval is closed, and of a logarithm the 68 % one
-    spans a factor 9 at most; "one-sided" if only one of its ends is known; else
-    "degenerate"."""
+    """Status of a key: "determined" if the 95 % interval is closed, and that of 68 % of
+    a logarithm spans a factor 9 at most; "one-sided" if only one end of the 95 %
+    interval is known; else "degenerate"."""
     closed = [one.ends["95"] is not None for one in (low, high)]
     if not all(closed):
         return "one-sided" if any(closed) else "degenerate"

@@ -33,23 +33,23 @@ from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
-# Steps of derivatives: where solves choose their own steps, and where these are given.
+# Steps of derivatives: where solves choose their own time steps, and with given ones.
 STEP_CHOSEN = 2e-2
 _STEP_GIVEN = 1e-3
-# How often a search chooses the steps of solves anew, as long as chi-square falls by
-# more than this share.
+# Searches at most, each with time steps chosen anew, while chi-square falls by more than
+# this share.
 _MOST_SEARCHES = 6
 _CHI2_FALL = 1e-3
-# Size of the steps of `force_of` for a search.
-_COARSE_SIZE = 0.7
-# Steps of a solve in a search: steady sliding takes some hundred, a slip a thousand.
+# Accuracy `fine` of `force_of` in a search, coarser than 1, its usual one.
+_COARSE = 0.7
+# Time steps of a solve in a search: steady sliding takes some hundred, a slip a thousand.
 _MOST_SOLVER_STEPS = 4000
 # Correlation of neighbours below which they are independent.
 _LEAST_CORRELATION = 0.02
 
 
 def read_record(path: Path, fit: Fit) -> Measurements:
-    """The points of a record, a CSV file with columns of time and force, and of
+    """Read the points of a record, a CSV file with columns of time and force, and of
     standard errors. Errors of the file and of fit.noise add in quadrature. Raises
     InputError with the column or line that cannot be used."""
     record, noise = fit.record, fit.noise
@@ -80,15 +80,22 @@ def read_record(path: Path, fit: Fit) -> Measurements:
         wrong = "begins before time 0" if points else "is empty"
         raise InputError(f"{field}: {wrong}")
     time, value, sigmas = np.array(points).T
-    row_of, names = np.zeros(time.size, int), ["friction"] * time.size
-    rows = [MeasuredAt((), 1.0, "")]
-    known = rows, row_of, names, value, sigmas, list[str](), np.ones(1), sheet.sha256
-    return Measurements(*known, time)
+    return Measurements(
+        rows=[MeasuredAt(changes=(), heat=1.0, set="")],
+        row=np.zeros(time.size, int),
+        observable=["friction"] * time.size,
+        value=value,
+        sigma=sigmas,
+        names=[],
+        temperatures=np.ones(1),
+        sha256=sheet.sha256,
+        time=time,
+    )
 
 
-class _Along(NamedTuple):
-    """Contacts and drive of a prediction, the grid of instants, and the indices of the
-    record's."""
+class _Course(NamedTuple):
+    """Contacts and drive of a prediction, the grid of instants at which it is solved,
+    and the indices of the record's instants among these."""
 
     ensemble: Ensemble
     programme: Programme
@@ -98,12 +105,12 @@ class _Along(NamedTuple):
 
 @dataclass(frozen=True)
 class RecordForward:
-    """The mean field along a programme at the instants of a record, at unit scale.
+    """The mean field along a programme at the times of a record, at unit scale.
 
-    With a stage it is solved with coarse steps: what these miss, relative to the force,
-    hardly depends on the parameters, and is the `correction` that was found at some of
-    them, with the `error` that is left. A solve that chooses its own steps is a rough
-    function of parameters; with `choices` made at some of them it is smooth around.
+    With a stage it is solved with coarse time steps. What these miss, relative to the
+    force, hardly depends on the parameters: it is found once, as the `correction`, with
+    its relative `error`. A solve that chooses its own time steps is a rough function of
+    parameters; with the `choices` made at some parameters it is smooth near these.
     """
 
     file: RunFile
@@ -121,41 +128,41 @@ class RecordForward:
 
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
         """See `Forward`."""
-        along = self._along(changes)
-        if along.programme.stage is None:
-            means = means_along(along.ensemble, along.programme, along.grid)
-            return means.force[along.points], means.force_error[along.points]
-        force, zero = self._coarse(along), np.zeros(self.time.size)
-        correction = zero if self.correction is None else self.correction
-        error = zero if self.error is None else self.error
+        course = self._course(changes)
+        if course.programme.stage is None:
+            means = means_along(course.ensemble, course.programme, course.grid)
+            return means.force[course.points], means.force_error[course.points]
+        force = self._coarse(course)
+        correction = 0.0 if self.correction is None else self.correction
+        error = 0.0 if self.error is None else self.error
         return force * (1.0 + correction), np.abs(force) * error
 
     def corrected(self, changes: dict[str, float]) -> "RecordForward":
-        """With the correction at these parameters: finer steps, extrapolated as of
-        second order; a third of what the last refinement changes is left as the error,
-        more than was seen."""
-        along = self._along(changes)
-        if along.programme.stage is None:
+        """Find the correction at these parameters, by Richardson extrapolation of
+        solves with finer time steps, taken to be of second order. Its error is a third
+        of what the last refinement changes, more than tests have seen."""
+        course = self._course(changes)
+        if course.programme.stage is None:
             return self
-        coarse, fine = (force_of(*along[:3], size)[along.points] for size in (2, 4))
-        correction = (4.0 * fine - coarse) / 3.0 / self._coarse(along) - 1.0
-        error = np.abs(fine / coarse - 1.0) / 3.0
+        middle, finest = (force_of(*course[:3], fine)[course.points] for fine in (2, 4))
+        correction = (4.0 * finest - middle) / 3.0 / self._coarse(course) - 1.0
+        error = np.abs(finest / middle - 1.0) / 3.0
         return replace(self, correction=correction, error=error)
 
     def settle_steps(self, changes: dict[str, float]) -> "RecordForward":
-        """Uncorrected, with the steps that a solve at these parameters chooses."""
-        along = self._along(changes)
-        if along.programme.stage is None:
+        """Take the time steps that a solve at these parameters chooses; uncorrected."""
+        course = self._course(changes)
+        if course.programme.stage is None:
             return self
-        choices = choices_of(*along[:3], _COARSE_SIZE, _MOST_SOLVER_STEPS)
+        choices = choices_of(*course[:3], _COARSE, _MOST_SOLVER_STEPS)
         return replace(self, correction=None, error=None, choices=choices)
 
-    def _coarse(self, along: _Along) -> Array:
-        """The force by the steps of a search."""
-        force = force_of(*along[:3], _COARSE_SIZE, _MOST_SOLVER_STEPS, self.choices)
-        return force[along.points]
+    def _coarse(self, course: _Course) -> Array:
+        """The force, uncorrected, with the coarse time steps of a search."""
+        force = force_of(*course[:3], _COARSE, _MOST_SOLVER_STEPS, self.choices)
+        return force[course.points]
 
-    def _along(self, changes: dict[str, float]) -> _Along:
+    def _course(self, changes: dict[str, float]) -> _Course:
         """Contacts, drive and grid at these parameters. Raises InputError."""
         keys = {key: x for key, x in changes.items() if not key.startswith("fit.")}
         file = at(self.file, keys)
@@ -175,21 +182,22 @@ class RecordForward:
         time = np.minimum(self.time, ends[-1])
         t = np.unique(np.concatenate(([0.0], time, ends)))
         segment = np.minimum(np.searchsorted(ends, t * (1.0 - 1e-12)), ends.size - 1)
-        ways = [math.copysign(part.path, part.velocity) for part in programme.segments]
-        X = np.interp(t, np.append(0.0, ends), np.append(0.0, np.cumsum(ways)))
+        moved = [math.copysign(each.path, each.velocity) for each in programme.segments]
+        X = np.interp(t, np.append(0.0, ends), np.append(0.0, np.cumsum(moved)))
         grid = Grid(t, X, segment)
-        return _Along(ensemble, programme, grid, np.searchsorted(t, time))
+        return _Course(ensemble, programme, grid, np.searchsorted(t, time))
 
 
 class Correlation(NamedTuple):
-    """Correlation time of residuals, and the number of independent points."""
+    """Correlation time of residuals, 0 if they are independent, and the `effective`
+    number of independent points."""
 
     time: float
     effective: float
 
 
 def settle_steps(problem: Problem, u: Array) -> Problem:
-    """The problem with the steps that a solve at parameters `u` chooses. Raises
+    """The problem with the time steps that a solve at parameters `u` chooses. Raises
     InputError where there is none."""
     assert isinstance(problem.forward, RecordForward)
     forward = problem.forward.settle_steps(problem.changes(u))
@@ -197,25 +205,25 @@ def settle_steps(problem: Problem, u: Array) -> Problem:
 
 
 def search_record(problem: Problem, u: Array) -> Minimum:
-    """Least squares from `u`, again and again with the steps that are chosen where they
-    ended."""
-    found: list[Minimum] = []
-    while len(found) < _MOST_SEARCHES:
-        if len(found) > 1 and found[-1].chi2 >= (1.0 - _CHI2_FALL) * found[-2].chi2:
+    """Repeat least squares from `u`, each search from where the last one ended and with
+    the time steps that a solve there chooses."""
+    ends: list[Minimum] = []
+    while len(ends) < _MOST_SEARCHES:
+        if len(ends) > 1 and ends[-1].chi2 >= (1.0 - _CHI2_FALL) * ends[-2].chi2:
             break
         try:
-            found.append(minimise(settle_steps(problem, u), u))
+            ends.append(minimise(settle_steps(problem, u), u))
         except TooManySteps:
-            found.append(minimise(problem, u))
-        u = found[-1].u
-    best = min(found, key=lambda one: one.chi2)
-    return best._replace(solves=sum(one.solves for one in found))
+            ends.append(minimise(problem, u))
+        u = ends[-1].u
+    best = min(ends, key=lambda end: end.chi2)
+    return best._replace(solves=sum(end.solves for end in ends))
 
 
 def correlated(problem: Problem, u: Array, t: Array) -> tuple[Problem, Correlation]:
-    """The problem with steps and correction at parameters `u`, and the errors'
-    correlation that the residuals there have, by maximum likelihood of a Markov process
-    of free variance."""
+    """The problem with time steps and correction at parameters `u`, and the correlation
+    of its errors: that of the residuals there, at times `t`, by maximum likelihood
+    of a Markov process of free variance."""
     problem = settle_steps(problem, u)
     assert isinstance(problem.forward, RecordForward)
     problem = replace(problem, forward=problem.forward.corrected(problem.changes(u)))
@@ -227,8 +235,8 @@ def correlated(problem: Problem, u: Array, t: Array) -> tuple[Problem, Correlati
         return float(r.size * math.log(w @ w) + np.sum(np.log1p(-(rho**2))))
 
     bounds = math.log(0.1 * gap.min()), math.log(0.3 * (t[-1] - t[0]))
-    found = optimize.minimize_scalar(deviance, bounds=bounds, method="bounded")
-    tau = math.exp(found.x)
+    least = optimize.minimize_scalar(deviance, bounds=bounds, method="bounded")
+    tau = math.exp(least.x)
     rho = np.exp(-gap / tau)
     if np.median(rho) < _LEAST_CORRELATION:
         return replace(problem, correlation=None), Correlation(0.0, float(t.size))

@@ -1,5 +1,5 @@
-"""What a fit leaves behind: fit.json, tables, pictures, and the run file of the best
-fit; and what is printed of it."""
+"""Files of a fit: fit.json, tables, pictures, and the run file of the best fit; and the
+lines that are printed about it."""
 
 import json
 import math
@@ -36,7 +36,7 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
         [{**one._asdict(), "values": values(one.u)} for one in found]
         for found in (result.minima, different(result.minima))
     )
-    found = {
+    content = {
         "title": result.file.title,
         "parameters": parameters,
         **result.goodness._asdict(),
@@ -63,7 +63,7 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
         "data_sha256": result.table.sha256,
         "versions": storage.versions(),
     }
-    return found if sampled is None else {**found, "posterior": sampled.summary()}
+    return content if sampled is None else {**content, "posterior": sampled.summary()}
 
 
 def _of(given: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -71,8 +71,8 @@ def _of(given: dict[str, Any], *names: str) -> dict[str, Any]:
 
 
 def fitted(result: FitResult) -> dict[str, Any]:
-    """Columns of fitted.parquet, one measurement a row: where it was made, what was
-    found, and the fit."""
+    """Columns of fitted.parquet, one measurement a row: its conditions, its value, and
+    that of the fit."""
     table, problem = result.table, result.problem
     rows = [table.rows[row] for row in table.row]
     columns: dict[str, Any] = {
@@ -100,8 +100,8 @@ def fitted(result: FitResult) -> dict[str, Any]:
 
 
 def profiles(result: FitResult) -> dict[str, Any]:
-    """Columns of profiles.parquet: the key that is held, chi-square over its least
-    value, and all values there."""
+    """Columns of profiles.parquet: the key that is held, the rise of chi-square above its
+    least value, and the values of all keys there."""
     sides = [(key, side) for key, pair in result.profiles.items() for side in pair]
     points = np.concatenate([side.points for _, side in sides])
     parameters = zip(result.problem.parameters, points.T, strict=True)
@@ -118,8 +118,8 @@ def _fit_origin(result: FitResult) -> dict[str, Any]:
 
 
 def write(result: FitResult, out: Path, title: str = "") -> list[str]:
-    """Write a results folder; the names of its files. Draws from the posterior of
-    another fit are removed."""
+    """Write a results folder, and return the names of its files. Draws from the posterior
+    of another fit are removed."""
     origin, title = _fit_origin(result), result.file.title or title
     files = {
         "fit.json": storage.to_json(summary(result)).encode(),
@@ -139,7 +139,8 @@ def write(result: FitResult, out: Path, title: str = "") -> list[str]:
 def write_posterior(
     result: FitResult, sampled: Posterior, out: Path, title: str = ""
 ) -> list[str]:
-    """Add draws from the posterior to a results folder; the names of the new files."""
+    """Add draws from the posterior to a results folder, and return the names of the new
+    files."""
     figure = pictures.posterior_figure(sampled, result.file.title or title)
     files = {
         "posterior.parquet": storage.parquet(sampled.columns, _fit_origin(result)),
@@ -193,7 +194,6 @@ def _pairs(section: dict[str, Any]) -> Iterator[str]:
 
 
 def _toml(value: Any) -> str:
-    """A value in TOML."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -206,15 +206,15 @@ def _toml(value: Any) -> str:
 
 
 def rows(result: FitResult) -> Iterator[tuple[str, ...]]:
-    """What is printed of each key."""
+    """Cells of `KEY_COLUMNS` for each key."""
     for one in result.intervals:
         ends = [_range(*one.intervals[name]) for name in ("68", "95")]
         yield one.key, f"{one.estimate:.4g}", *ends, one.status
 
 
 def _range(low: float | None, high: float | None) -> str:
-    """An interval as text, with so many digits that its width shows; None where it is
-    open."""
+    """An interval as text, with so many digits that its width shows; an end that is None
+    is open."""
     digits = 3
     if low is not None and high is not None and high > low:
         narrow = math.log10((high - low) / max(abs(low), abs(high)))
@@ -224,8 +224,7 @@ def _range(low: float | None, high: float | None) -> str:
 
 
 def remarks(result: FitResult) -> Iterator[str]:
-    """What needs to be said besides: how good the fit is, what else is determined, and
-    what is not."""
+    """Lines on the quality of the fit, on what else it determines, and what not."""
     yield quality("this model", result.goodness)
     if not result.converged:
         yield "NO START CONVERGED: these are no estimates"
@@ -269,7 +268,7 @@ def remarks(result: FitResult) -> Iterator[str]:
 
 
 def drawn(sampled: Posterior) -> Iterator[str]:
-    """What draws from the posterior say."""
+    """Lines on draws from the posterior."""
     times = sampled.steps / sampled.autocorrelation
     long = f"{sampled.steps} steps, {times:.0f} autocorrelation times"
     if not sampled.converged:

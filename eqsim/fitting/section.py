@@ -1,5 +1,4 @@
-"""The [fit] section of a run file: which keys are free, where the measurements are, and
-how noisy."""
+"""The [fit] section of a run file: free keys, measurements and their noise."""
 
 import math
 from collections.abc import Callable
@@ -21,9 +20,9 @@ from eqsim.io.runfile import RunFile, keys, parameters
 from eqsim.laws.named import threshold_parameters
 from eqsim.sweeps.plan import entries
 
-# Free keys of a record that no contact knows, and their names in [fit].
+# Parameters of a record that are no keys of a run file, and their names in [fit].
 NUISANCES = {"fit.offset": "offset", "fit.drift": "drift"}
-# Values of keys that must be sections.
+# Examples of sections, for messages.
 _EXAMPLES = {
     "free": "{ bounds = [0.1, 10.0] }",
     "prior": "{ normal = [mean, sd] }",
@@ -97,8 +96,8 @@ class Fit(_Section):
     free: dict[str, Free] = Field(default_factory=dict)
 
     def scales(self, sets: list[str]) -> tuple[list["Parameter"], float]:
-        """A free scale of force for each set, or none and the fixed value. Raises
-        InputError."""
+        """Free scales of force, one for each set, and 1; or none and the fixed scale.
+        Raises InputError."""
         if not isinstance(self.scale, Scale):
             return [], self.scale
         free = Free(bounds=self.scale.bounds)
@@ -124,8 +123,8 @@ class NormalPrior(NamedTuple):
 
 
 class _Transform(NamedTuple):
-    """The variable of a key, the key from its variable, what the variable is called,
-    and what the key is greater than."""
+    """The variable of a key, the key from its variable, the variable's name, and the
+    number that the key must be greater than."""
 
     variable: Callable[[float], float]
     value: Callable[[Any], Any]
@@ -200,27 +199,26 @@ def section_of(file: RunFile) -> Fit:
 
 
 def _of_interface(file: RunFile) -> dict[str, float]:
-    """The area or the normal stress of the run file's [interface], if only one of them
-    is there: with an area what is measured is a force, with a normal stress a
-    coefficient."""
+    """The area or the normal stress of the run file's [interface], if it has only one of
+    them: with an area data are forces, with a normal stress friction coefficients."""
     given = {name: getattr(file.interface, name) for name in ("area", "normal_stress")}
     known = {name: value for name, value in given.items() if value is not None}
     return known if len(known) == 1 else {}
 
 
 def _explain_section(error: pydantic.ValidationError) -> str:
-    """One line about the first thing that is wrong."""
+    """The message about the first error, one line."""
     first = error.errors(include_url=False)[0]
-    place = [str(part) for part in first["loc"] if part not in ("Scale", "float")]
-    field, value = ".".join(["fit", *place]), shown(first["input"])
+    path = [str(name) for name in first["loc"] if name not in ("Scale", "float")]
+    field, value = ".".join(["fit", *path]), shown(first["input"])
     if first["type"] == "extra_forbidden":
-        section = _FIT_SECTIONS[place[0]] if place[1:] else Fit
-        hint = meant(place[-1], section.model_fields, "known here: ")
+        section = _FIT_SECTIONS[path[0]] if path[1:] else Fit
+        hint = meant(path[-1], section.model_fields, "known here: ")
         return f"{field}: unknown key; {hint}"
     if first["type"] == "missing":
         return f"{field}: is required"
     if first["type"] in ("model_type", "dict_type"):
-        example = _EXAMPLES[place[-1] if place[-1] in _EXAMPLES else place[0]]
+        example = _EXAMPLES[path[-1] if path[-1] in _EXAMPLES else path[0]]
         return f"{field} = {value}: must be a section, such as {example}"
     allowed = first["msg"].replace("Input should be", "must be").replace("'", '"')
     if first["type"] == "value_error":  # of `require_number`
@@ -252,8 +250,8 @@ def parameters_of(file: RunFile, fit: Fit) -> list[Parameter]:
 
 
 def _check_effect(file: RunFile, key: str, kind: type) -> None:
-    """Raise InputError for a key that holds no number with a fraction, or that the laws
-    of the run file do not know."""
+    """Raise InputError for a key that holds no number with a fraction, or has no effect
+    with the laws of the run file."""
     law, (section, _, name) = file["thresholds.law"], key.partition(".")
     wrong = ""
     if kind is not float:

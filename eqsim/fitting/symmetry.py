@@ -30,27 +30,28 @@ MEASURED_POWERS = {
     "record": (1, 0),
     "force_std": (1, -1),
 }
-# b below which it does not matter to annealed contacts
+# b below which it has no effect on annealed contacts.
 _HOT = 0.3
-# b above which only omega/b matters to them
+# b above which only omega/b has an effect on them.
 _COLD = 1e3
-# of a law; its other parameters change the shape
+# Keys that scale a law of thresholds; the others change its shape.
 _SIZES = ("thresholds.x_star", "thresholds.high")
+# Observables for which the limits of b are not taken to hold.
 _UNSEEN = {"force_std", "peak_ratio", "peak_X"}
 
 
 def refused(
     file: RunFile, free: list[Parameter], scaled: bool, measured: set[str]
 ) -> list[str]:
-    """Why the data cannot decide, one line for each exact symmetry between free keys;
-    empty if there is none known.
+    """Reasons why the data cannot determine free keys, a line for each exact symmetry
+    between them; empty if none is known.
 
     Parameters
     ----------
     file : RunFile
     free : list of Parameter
     scaled : bool
-        Whether the scale of force is free.
+        True if the scale of force is free.
     measured : set of str
         Observables, or "record".
     """
@@ -107,8 +108,7 @@ def powers_of(file: RunFile, name: str) -> tuple[int, int]:
 
 
 def _null(rows: Array) -> list[Array]:
-    """Combinations of the two scalings that leave every column, shape (2, columns), as
-    it is."""
+    """Combinations of the two scalings that change no column of powers, (2, columns)."""
     if not rows.shape[1] or not rows.any():
         return [np.array([1.0, 0.0]), np.array([0.0, 1.0])]
     u, singular, _ = np.linalg.svd(rows)
@@ -151,7 +151,8 @@ def _limits(
 
 
 def _regimes(file: RunFile, by_key: dict[str, Parameter]) -> Iterator[str]:
-    """Annealed contacts whose b is nowhere between the bounds one that matters."""
+    """Reasons of annealed contacts whose b, anywhere within the bounds, is so small that
+    it has no effect, or so large that only omega/b has one."""
     values = parameters(file)
 
     def range_of(key: str) -> tuple[float, float]:
@@ -177,8 +178,8 @@ def _regimes(file: RunFile, by_key: dict[str, Parameter]) -> Iterator[str]:
 
 
 def check(reasons: list[str], allowed: bool) -> list[str]:
-    """The reasons as warnings if that is `allowed`. Raises InputError otherwise."""
+    """The reasons, as warnings, if they are `allowed`. Raises InputError otherwise."""
     if reasons and not allowed:
-        how = "--allow-degenerate fits all the same"
-        raise InputError(f"fit.free: {reasons[0]} ({how})")
+        hint = "--allow-degenerate fits all the same"
+        raise InputError(f"fit.free: {reasons[0]} ({hint})")
     return reasons

@@ -53,7 +53,7 @@ _RISE_IN_X = 16.0
 _SPLIT_IN_X = np.array([0.0, 0.12, 0.5, 1.0])
 # The relative error that ends refinement, and its like for a mixture.
 _RESOLVED_IN_X = 2e-12
-_RESOLVED_MIXTURE = 1e-9
+_RESOLVED_MIXTURE = 1e-10
 # The narrowest panel, relative to its right end.
 _NARROWEST_IN_X = 1e-14
 # Panels at most.

@@ -10,10 +10,8 @@ passes fixed levels.
 """
 
 import numpy as np
-from scipy import special
 
 from eqsim.laws.aging import Langevin
-from eqsim.laws.barrier.soft import Soft
 from eqsim.laws.newborn import BirthLaw, DeltaBirths, ExponentialBirths, NormalBirths
 from eqsim.laws.threshold import rank_above
 from eqsim.master import flow
@@ -33,9 +31,8 @@ from eqsim.model.reduced import Reduced
 from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
-# The rule of panels over births and thresholds, and two for differences of hazards.
+# The rules of panels over births and thresholds, and of differences of hazards.
 _OF_PANELS = gauss_legendre(8)
-_OF_SHORT_TRAVEL = gauss_legendre(10)
 _OF_SHORTER_TRAVEL = gauss_legendre(4)
 # How much further the thresholds of contacts born stretched reach, in -ln J_c: force
 # variances of heavy tails count.
@@ -269,24 +266,8 @@ def _passed_up_to(contacts: Reduced, x: Array, way: Array, xi: Array) -> Array:
         at, weights = _OF_SHORTER_TRAVEL.between(x[short] - way[short], x[short])
         found[short] = (rate(at) * weights).sum(axis=1)
         return np.asarray(found)
-    barrier, kappa = contacts.barrier, kappa_of(contacts, xi)
-    gap, a = np.maximum(xi - x, 0.0), barrier.b * kappa
-    if isinstance(barrier, Soft):
-        root = np.sqrt(a)
-        z, way = root * x, root * way
-        less = way * (2.0 * z - way)
-        found = special.dawsn(z) - np.exp(-less) * special.dawsn(z - way)
-        short = less < 1.0
-        t, weights = _OF_SHORT_TRAVEL.between(0.0 * way[short], way[short])
-        found[short] = (np.exp(-t * (2.0 * z[short, None] - t)) * weights).sum(axis=1)
-        spent = np.exp(np.minimum(barrier.log_w - a * gap * (xi + x), 300.0))
-        return np.asarray(spent * found / root)
-    c, q, step = a * xi**2, gap / xi, way / xi
-    lower = q + step
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rise = step * (lower**2 + lower * q + q**2) / (lower**1.5 + q**1.5)
-    size = np.exp(np.minimum(barrier.log_w - c * q**1.5, 300.0)) / (1.5 * a * xi)
-    return np.asarray(-np.expm1(-c * np.where(step > 0, rise, 0.0)) * size)
+    a = contacts.barrier.b * kappa_of(contacts, xi)
+    return contacts.barrier.hazard_over(x, way, xi, a)
 
 
 def kinks_of_survival(contacts: Reduced) -> Array:

@@ -56,7 +56,7 @@ class Plan:
         return _everywhere(self.axes)
 
     def _checked(self, index: int) -> str:
-        """The identity of a point that can be computed."""
+        """Check that a point can be computed, and return its identity."""
         try:
             point = self.at(index)
             ensemble, _ = point.ensemble, point.drive
@@ -67,11 +67,11 @@ class Plan:
 
     def changes(self, index: int) -> dict[str, Any]:
         """Keys and values in which a point differs from the run file."""
-        found: list[dict[str, Any]] = []
+        rows: list[dict[str, Any]] = []
         for axis in reversed(self.axes):
-            index, place = divmod(index, len(axis))
-            found.append(axis[place])
-        return {key: value for part in reversed(found) for key, value in part.items()}
+            index, number = divmod(index, len(axis))
+            rows.append(axis[number])
+        return {key: value for row in reversed(rows) for key, value in row.items()}
 
     def at(self, index: int) -> RunFile:
         """The run file of a point."""
@@ -85,7 +85,7 @@ class Plan:
 
 
 def _axes(file: RunFile) -> list[list[dict[str, Any]]]:
-    """The axes of a [sweep] table: lists of what to change. Raises InputError."""
+    """The axes of a [sweep] table: lists of changed keys and values. Raises InputError."""
     axes = []
     for key, spec in entries(file.sweep):
         if key == "file":
@@ -109,7 +109,7 @@ def _axes(file: RunFile) -> list[list[dict[str, Any]]]:
 
 
 def _zipped(group: Any, file: RunFile) -> list[dict[str, Any]]:
-    """Axes that advance together."""
+    """One axis of several keys that advance together."""
     if not isinstance(group, dict) or not group:
         example = 'zip = [{ "KEY" = [...], ... }]'
         raise InputError(
@@ -148,7 +148,7 @@ def entries(
 
 
 def _refuse_unknown(key: str, file: RunFile) -> None:
-    """Raise InputError, with the nearest key, unless a key can change."""
+    """Raise InputError, with the nearest key, unless a run file has this key."""
     if key not in keys(file):
         at(file, {key: 0})
 
@@ -185,8 +185,8 @@ def _axis(key: str, spec: Any, file: RunFile) -> list[Any]:
 
 
 def _points_file(name: Any, file: RunFile) -> list[dict[str, Any]]:
-    """Explicit points, one per row of a Parquet file; null: as in the run file. Raises
-    InputError."""
+    """Explicit points, one per row of a Parquet file; null is the run file's value.
+    Raises InputError."""
     wanted = "a Parquet file whose columns are keys"
     if not isinstance(name, str):
         raise InputError(f"sweep.file = {shown(name)}: must be the name of {wanted}")
@@ -208,9 +208,9 @@ def _points_file(name: Any, file: RunFile) -> list[dict[str, Any]]:
 
 
 def identity(point: RunFile, ensemble: Ensemble) -> str:
-    """SHA-256 of the sorted parameters of a point, its seed and the results version,
-    hexadecimal. A table of thresholds enters with its values, whatever file they come
-    from."""
+    """Hexadecimal SHA-256 of the sorted parameters of a point, its seed and the results
+    version. A table of thresholds enters with its values, not with the name of its
+    file."""
     values = parameters(point)
     seed = values.pop("output.seed")
     law = ensemble.thresholds

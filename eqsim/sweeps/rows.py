@@ -1,4 +1,4 @@
-"""Rows of a sweep: what is computed at each point, and the columns that it fills.
+"""Rows of a sweep: the computation at each point, and the columns that it fills.
 
 A value depends on the id of its point and on nothing else: not on the order, the
 workers, restarts or the rest of the grid. Other releases of NumPy, Numba and SciPy, and
@@ -23,7 +23,7 @@ from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
 
-# Columns of a row and their content.
+# Content of a row by column.
 RowCells = dict[str, Any]
 
 # Observables of any segment of a programme, and of a velocity step.
@@ -44,9 +44,9 @@ class Task(NamedTuple):
 
 @dataclass(frozen=True)
 class Asked:
-    """Accuracy of each point: steady averages to a relative standard error, or if
-    `transient` those of the second half of the run, by so many lives at most. Raises
-    InputError unless both numbers are positive."""
+    """Accuracy that is asked of each point: steady averages to a relative standard
+    error, by so many lives at most; or if `transient` averages over the second half of
+    the run. Raises InputError unless both numbers are positive."""
 
     rel_error: float = 1e-2
     max_lives: float = 1e10
@@ -60,8 +60,8 @@ class Asked:
 def compute(
     tasks: list[Task], asked: Asked, threads: int, version: int
 ) -> list[RowCells]:
-    """The columns of some points that a worker finds by computing. Raises InputError if
-    this worker's results are not of `version`."""
+    """Compute a batch of points, and return the columns found. Raises InputError if this
+    worker's results are not of `version`."""
     if version != RESULTS_VERSION:
         versions = f"results version {RESULTS_VERSION}, not {version}"
         raise InputError(f"a worker runs other code ({versions})")
@@ -69,24 +69,24 @@ def compute(
 
 
 def _point_row(task: Task, asked: Asked, threads: int) -> RowCells:
-    """The columns of a point; a mistake of its parameters is its message."""
+    """The columns of a point; of one that fails its status and message."""
     begin = time.perf_counter()
-    how: RowCells = {
+    options: RowCells = {
         "seed": task.seed,
         "threads": threads,
         "max_lives": asked.max_lives,
     }
-    sampled = how | {"points": task.points, "replicas": task.replicas}
+    sampled = options | {"points": task.points, "replicas": task.replicas}
     try:
         if isinstance(drive := task.drive, Programme):
             row = _programme(task, drive, sampled)
         elif drive.elastic:
             row = _elastic(task, drive, sampled)
         elif asked.transient:
-            found = trajectory(task.ensemble, drive, **sampled)
-            row = _averages_row(found.averages, found.lives, [])
+            run = trajectory(task.ensemble, drive, **sampled)
+            row = _averages_row(run.averages, run.lives, [])
         else:
-            row = _steady_cells(task, drive, how | {"rel_error": asked.rel_error})
+            row = _steady_cells(task, drive, options | {"rel_error": asked.rel_error})
     except MemoryError:  # the machine's fault, not the point's
         raise
     except Exception as error:
@@ -95,27 +95,27 @@ def _point_row(task: Task, asked: Asked, threads: int) -> RowCells:
     return {**row, "seconds": time.perf_counter() - begin}
 
 
-def _steady_cells(task: Task, drive: Drive, how: RowCells) -> RowCells:
-    found = steady(task.ensemble, drive, **how)
-    missed = f"relative error {how['rel_error']:g} was not reached"
-    row = _averages_row(found, found.lives, [] if found.reached else [missed])
+def _steady_cells(task: Task, drive: Drive, options: RowCells) -> RowCells:
+    sampled = steady(task.ensemble, drive, **options)
+    missed = f"relative error {options['rel_error']:g} was not reached"
+    row = _averages_row(sampled, sampled.lives, [] if sampled.reached else [missed])
     try:
         exact = reference(task.ensemble, drive)
     except InputError as error:
         return row | _no_reference(row, error)
     row["reference_method"] = exact.method
     for name, level in exact.averages().items():
-        row |= _filled(name, found.averages()[name], level)
+        row |= _filled(name, sampled.averages()[name], level)
     return row
 
 
-def _elastic(task: Task, drive: Drive, how: RowCells) -> RowCells:
+def _elastic(task: Task, drive: Drive, options: RowCells) -> RowCells:
     ensemble, blocks = task.ensemble, drive.elastic
     assert blocks
-    found = elastic_trajectory(ensemble, drive, **how)
-    exact, friction = reference(ensemble, replace(drive, elastic=None)), found.friction
-    reliable = friction.reliable and found.size.reliable
-    row = _status(found.lives, [] if reliable else [_TOO_SHORT])
+    run = elastic_trajectory(ensemble, drive, **options)
+    exact, friction = reference(ensemble, replace(drive, elastic=None)), run.friction
+    reliable = friction.reliable and run.size.reliable
+    row = _status(run.lives, [] if reliable else [_TOO_SHORT])
     row |= {"reference_method": exact.method}
     row |= _filled("friction", friction, exact.friction)
     size = single = None
@@ -125,19 +125,15 @@ def _elastic(task: Task, drive: Drive, how: RowCells) -> RowCells:
         size = Estimate(blocks.mean_size, abs(few.mean), 0)
         alone = float(size_law(law, blocks.load, 1)[0])
         single = Estimate(alone, abs(few.single), 0)
-    return (
-        row
-        | _filled("size", found.size, size)
-        | _filled("single", found.single, single)
-    )
+    return row | _filled("size", run.size, size) | _filled("single", run.single, single)
 
 
-def _programme(task: Task, programme: Programme, how: RowCells) -> RowCells:
-    found = trajectory(task.ensemble, programme, **how)
-    if isinstance(found, SliderTrajectory):
-        return _slip_columns(found)
+def _programme(task: Task, programme: Programme, options: RowCells) -> RowCells:
+    run = trajectory(task.ensemble, programme, **options)
+    if isinstance(run, SliderTrajectory):
+        return _slip_columns(run)
     doubt = "error bars of forces cannot be trusted"
-    row = _status(found.lives, [] if found.force_reliable else [doubt])
+    row = _status(run.lives, [] if run.force_reliable else [doubt])
     exact: tuple[SegmentRecord, ...] = ()
     try:
         means = transient(task.ensemble, programme, task.points)
@@ -146,20 +142,20 @@ def _programme(task: Task, programme: Programme, how: RowCells) -> RowCells:
         row["reference_method"] = "renewal equation in two times"
     except InputError as error:
         row |= _no_reference(row, error)
-    for index, segment in enumerate(found.segments):
+    for index, segment in enumerate(run.segments):
         levels = _of_segment(exact[index]) if exact else {}
         for name, ours in _of_segment(segment).items():
             row |= _filled(f"segment_{index}_{name}", ours, levels.get(name))
     return row
 
 
-def _slip_columns(found: SliderTrajectory) -> RowCells:
-    """Columns of the slips of a slider that a stage pulls; its forces are not asked
-    for."""
-    period, drop = found.period, found.drop
+def _slip_columns(run: SliderTrajectory) -> RowCells:
+    """Columns of the slips of a slider that a stage pulls; a sweep has none of its
+    forces. Steady sliding, without slips, is no reason to distrust a row."""
+    period, drop = run.period, run.drop
     few = not period.reliable and not period.n == drop.n == 0
-    row = _status(found.lives, ["few slips"] if few else [])
-    row |= {"slips": len(found.slips)}
+    row = _status(run.lives, ["few slips"] if few else [])
+    row |= {"slips": len(run.slips)}
     return row | _filled("period", period) | _filled("drop", drop)
 
 
@@ -171,7 +167,7 @@ def _of_segment(segment: SegmentRecord) -> dict[str, Estimate]:
 
 
 def _averages_row(averages: Averages, lives: int, problems: list[str]) -> RowCells:
-    """Columns of estimates, and what is wrong with them besides `problems`."""
+    """Columns of estimates, and of doubts about their error bars and `problems`."""
     every = averages.averages()
     doubtful = [name for name, e in every.items() if not (e.reliable or e.diverges)]
     if doubtful:
@@ -184,20 +180,20 @@ def _averages_row(averages: Averages, lives: int, problems: list[str]) -> RowCel
 
 
 def _status(lives: int, problems: list[str]) -> RowCells:
-    """Columns that say whether a row can be trusted."""
+    """Columns of lives and of whether a row can be trusted."""
     status = "unreliable" if problems else "ok"
     return {"lives": lives, "status": status, "message": "; ".join(problems) or None}
 
 
 def _no_reference(row: RowCells, error: InputError) -> dict[str, str]:
-    """The message of a row without a reference."""
+    """The message of a row, with the reason why it has no reference."""
     said = (row["message"], f"no reference: {error}")
     return {"message": "; ".join(filter(None, said))}
 
 
 def _filled(name: str, ours: Estimate, level: Estimate | None = None) -> RowCells:
-    """Columns of an estimate, and of a reference; the schema leaves out those that it
-    has not."""
+    """Columns of an estimate, and of its reference `level` if there is one. The schema
+    of the sweep drops columns that it does not have."""
     cells = {
         name: ours.value,
         f"{name}_stderr": ours.stderr,

@@ -27,10 +27,10 @@ from eqsim.sweeps.store import Store
 from eqsim.sweeps.workers import Pool, Workers
 
 _FLUSH_SECONDS = 5.0
-_BATCH_SECONDS = 0.25  # that a worker takes for a batch of points
+_BATCH_SECONDS = 0.25  # time of a worker for a batch of points, about
 _MOST_BATCH = 64  # points of a batch
 _FIRST_BATCH = 2  # points of a batch before any is timed; its first one may compile
-_LOSSES = 3  # so many workers may die at a point before it is given up
+_LOSSES = 3  # deaths of workers at a point after which it fails
 
 Progress = Callable[[int, int], None]
 Note = Callable[[str], None]
@@ -38,9 +38,9 @@ Note = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Summary:
-    """How a sweep ended: numbers of points by status, found on disk and computed now,
-    seconds since the start and summed over the points computed now, the failed points
-    (index, id, changes, message), and damaged files."""
+    """End of a sweep: numbers of points by status, of those on disk before (`resumed`)
+    and `computed` now; `seconds` since the start, and summed over the points computed
+    now; the failed points (number from 1, id, changes, message), and damaged files."""
 
     points: int
     ok: int
@@ -76,8 +76,8 @@ def sweep(
     note: Note = lambda _: None,
     opened: Callable[[Store], None] = lambda _: None,
 ) -> Summary:
-    """Compute all points of a plan into the folder `out` (`eqsim.sweeps.store`), or
-    those that are not there yet: by default steady averages to 1e-2, by one process.
+    """Compute those points of a plan that the folder `out` (`eqsim.sweeps.store`) does
+    not hold yet: by default steady averages to 1e-2, by one process.
 
     `progress(done, total)` counts the points of this call, `note` is told what to
     expect, and `opened` is given the folder's `Store` once it is there. Raises
@@ -145,8 +145,9 @@ class Scheduler:
     ) -> None:
         self.plan, self.store, self.pool = store.plan, store, pool
         self.progress, self.note = progress, note
-        how: dict[str, Any] = {"threads": pool.threads, "version": RESULTS_VERSION}
-        self.work = functools.partial(compute, asked=asked, **how)
+        self.work = functools.partial(
+            compute, asked=asked, threads=pool.threads, version=RESULTS_VERSION
+        )
         self.pending: deque[int] = deque()
         self.running: dict[Future[Any], list[int]] = {}
         self.suspects: deque[int] = deque()  # points that may have killed a worker
@@ -157,7 +158,7 @@ class Scheduler:
     def run(self, pending: list[int]) -> float:
         """Compute all points; returns the seconds they took, summed."""
         total, told = len(pending), False
-        # Points from all over the grid are first, to tell how long it will take.
+        # Points from all over the grid come first: their times foretell the whole.
         first = pending[:: max(1, total // (2 * _FIRST_BATCH * self.pool.slots()))]
         self.pending = deque([*first, *sorted({*pending} - {*first})])
         while self.pending or self.running or self.suspects:

@@ -4,9 +4,9 @@ It holds `sweep.parquet`, the rows in the order of the grid with the columns of
 `schema` (null where one does not apply), and `_sweep.json`, what was asked for. While a
 sweep runs its rows are in `parts/`, in files named by a digest of their content; when
 all are there, that folder becomes `_parts` just before the table gets its name. Names
-that begin with "_" are not part of the dataset: `pandas.read_parquet(FOLDER)` reads the
-rows that there are, each once. The metadata key `eqsim` holds the run file, the
-settings, versions and the version of the schema.
+that begin with "_" are not part of the dataset, so `pandas.read_parquet(FOLDER)` reads
+each finished row once. The metadata key `eqsim` holds the run file, the settings,
+versions and the version of the schema.
 """
 
 import dataclasses
@@ -41,7 +41,7 @@ except ImportError:  # a system without locks
 # Version of the columns.
 SCHEMA = 2
 _LOCK = "_lock"
-# Where a manifest has the version of results.
+# Key of a manifest for the version of results.
 _VERSION = "results version"
 # Rows that are written at once.
 _FLUSH_ROWS = 256
@@ -79,14 +79,14 @@ def schema(file: RunFile) -> Any:
 
 
 def _quantities(file: RunFile, ensemble: Ensemble) -> tuple[Quantity, ...]:
-    """Quantities that friction is at the interface, where there are averages."""
+    """Quantities that friction is converted to; none of programmes without averages."""
     programmed = file["drive.programme"] or file["drive.stage"]
     return () if programmed else quantities(ensemble, file.units, file.interface)
 
 
 def physical(file: RunFile, row: dict[str, Any]) -> dict[str, float]:
-    """The columns of a point that say what its friction is at the interface; none of a
-    point that failed."""
+    """Columns of the friction of a point in laboratory quantities; none of a point that
+    failed."""
     if row.get("friction") is None or not _quantities(file, Ensemble()):
         return {}
     return {
@@ -111,12 +111,12 @@ class Store:
         else:
             averaged = asked.transient or file["elastic"] is not None
             self.kind = "transient" if averaged else "steady"
-        theirs = [path for path in out.glob("[!._]*") if path.name != SWEEP_PARTS]
-        theirs += storage.sweep_parts(out)
-        # The folder is read as one table. Without a manifest this is no sweep's, or
-        # that of a sweep whose manifest is lost.
-        if theirs and not (out / SWEEP_MANIFEST).exists():
-            other = f"holds files of another origin, {theirs[0].name}"
+        files = [path for path in out.glob("[!._]*") if path.name != SWEEP_PARTS]
+        files += storage.sweep_parts(out)
+        # All files of the folder are read as one table. Without a manifest they are not
+        # of a sweep, or of one whose manifest is lost.
+        if files and not (out / SWEEP_MANIFEST).exists():
+            other = f"holds files of another origin, {files[0].name}"
             raise InputError(f"--out {out}: {other}; must be a folder of its own")
         out.mkdir(parents=True, exist_ok=True)
         self.lock = self._locked()
@@ -161,20 +161,20 @@ class Store:
     def _asked(self, asked: Asked) -> dict[str, str]:
         """All that the rows depend on, by name."""
         file = self.plan.file
-        found = {**parameters(file), **dataclasses.asdict(asked)}
+        values = {**parameters(file), **dataclasses.asdict(asked)}
         for section in ("units", "interface"):
             pairs = file.settings[section].items()
-            found |= {f"{section}.{key}": value for key, value in pairs if value}
-        found |= {f"sweep.{key}": value for key, value in entries(file.sweep)}
-        found["order of axes"] = [*file.sweep]
-        texts = {key: repr(value) for key, value in found.items()}
+            values |= {f"{section}.{key}": value for key, value in pairs if value}
+        values |= {f"sweep.{key}": value for key, value in entries(file.sweep)}
+        values["order of axes"] = [*file.sweep]
+        texts = {key: repr(value) for key, value in values.items()}
         for name in {file["thresholds.file"], file.sweep.get("file")} - {None}:
             content = (file.folder / str(name)).read_bytes()
             texts[f"content of {name}"] = _digest(content)
         return texts | {"schema": str(SCHEMA), _VERSION: str(RESULTS_VERSION)}
 
     def _agree(self, asked: Asked) -> None:
-        """Note what is asked for, or compare it with what was. Raises InputError."""
+        """Write the manifest, or check that it asks for the same. Raises InputError."""
         plan, path, now = self.plan, self.out / SWEEP_MANIFEST, self._asked(asked)
         if not path.exists():
             manifest = {"asked": now, "points": plan.size, "run_file": plan.file.text}
@@ -204,7 +204,7 @@ class Store:
             raise InputError(f"--out {self.out}: {other}")
 
     def _load(self) -> None:
-        """Read the rows on disk; note and remove damaged files. Raises InputError for
+        """Read the rows on disk; list and remove damaged files. Raises InputError for
         rows with other columns."""
         final = self.out / SWEEP_TABLE
         self.parts = storage.sweep_parts(self.out)
@@ -259,8 +259,8 @@ class Store:
         return f"{len(self._on_disk())} of {self.plan.size} points are on disk"
 
     def compact(self) -> Any:
-        """All rows in one file, in the order of the grid, each once; a death in between
-        loses and doubles nothing. Returns them as a pyarrow table."""
+        """Write all rows to one file, in the order of the grid, each once, and return
+        them as a pyarrow table. A process that dies meanwhile loses and doubles none."""
         self.flush()
         table = pa.concat_tables(self.tables)
         rows = reversed([*enumerate(table["id"].to_pylist())])
@@ -280,8 +280,8 @@ class Store:
         return table
 
     def _origin(self) -> dict[str, Any]:
-        """The provenance of the first rows, with all versions that rows were computed
-        with."""
+        """The provenance of the first rows, with the versions that any rows were
+        computed with."""
         every = [json.loads(table.schema.metadata[b"eqsim"]) for table in self.tables]
         used = {
             name: sorted({origin["versions"][name] for origin in every})
@@ -291,8 +291,8 @@ class Store:
         return {**every[0], "versions": versions}
 
     def _hide(self) -> None:
-        """Take the parts out of the dataset, at once unless some are hidden since an
-        earlier end."""
+        """Take the parts out of the dataset: by one rename, unless a `compact` that was
+        broken off has hidden some."""
         shown, hidden = self.out / SWEEP_PARTS, self.out / SWEEP_HIDDEN
         if hidden.exists():
             for path in shown.glob("*.parquet"):

@@ -1,4 +1,4 @@
-"""Who computes: threads or processes of this machine, or a dask.distributed cluster."""
+"""Workers: a thread or processes of this machine, or a dask.distributed cluster."""
 
 import json
 import logging
@@ -34,9 +34,10 @@ _ADDRESS = r"((tcp|tls|ucx|wss?)://)?([^][:/]+|\[[^][/]+\]):\d+"
 
 @dataclass(frozen=True)
 class Workers:
-    """Who computes, which changes speed and never a number: `count` processes of this
-    machine (0: none but this one), with so many `threads` each, or the dask.distributed
-    cluster whose scheduler has the address `dask`, or has written this file."""
+    """Choice of workers, which changes speed and never a number: `count` processes of
+    this machine (0: this process itself) with so many `threads` each, or a
+    dask.distributed cluster; `dask` is the address of its scheduler, or a scheduler
+    file."""
 
     count: int = 1
     threads: int = 1
@@ -44,17 +45,17 @@ class Workers:
 
     @contextmanager
     def pool(self) -> Iterator["Pool"]:
-        """The workers, for as long as the block takes; ended at once if it is broken
-        off. Raises InputError."""
-        own = Processes if self.count else Here
-        found: Pool = Cluster(self.dask) if self.dask is not None else own(self.count)
-        found.threads = self.threads
+        """The workers for the time of a `with` block, ended at once if it raises.
+        Raises InputError."""
+        local = Processes if self.count else Here
+        pool: Pool = local(self.count) if self.dask is None else Cluster(self.dask)
+        pool.threads = self.threads
         try:
-            yield found
+            yield pool
         except BaseException:
-            found.close(hurry=True)
+            pool.close(hurry=True)
             raise
-        found.close(hurry=False)
+        pool.close(hurry=False)
 
     @contextmanager
     def executor(self) -> Iterator[Executor | None]:
@@ -69,12 +70,12 @@ class Workers:
         """A `pool` for work that cannot go on without one of its workers: InputError if
         one is lost."""
         where = "--workers" if self.dask is None else f"--dask {self.dask}"
-        with self.pool() as found:
-            found.check()
+        with self.pool() as pool:
+            pool.check()
             lost: tuple[type[BaseException], ...]
-            lost = (*found.lost, OSError, CancelledError)
+            lost = (*pool.lost, OSError, CancelledError)
             try:
-                yield found
+                yield pool
             except lost as error:
                 if isinstance(error, OSError) and self.dask is None:
                     raise
@@ -108,7 +109,7 @@ class Pool:
 
 
 class Here(Pool):
-    """This process itself, in a thread of its own."""
+    """A thread of this process."""
 
     def __init__(self, count: int) -> None:
         self.executor: ThreadPool = ThreadPool(max(count, 1))
@@ -151,10 +152,10 @@ class Processes(Pool):
 class _Executor(ProcessPoolExecutor):
     """A process pool that can be interrupted and killed.
 
-    Its workers start as work comes, and inherit that signals wait: Ctrl-C goes to all
+    Its workers start as work comes, and inherit blocked signals: Ctrl-C goes to all
     processes of a terminal, and one that is still starting would answer with a
-    traceback. What is submitted cannot be cancelled: when workers are killed, Python
-    3.11 stumbles over a cancelled future, and the process may never end.
+    traceback. Futures cannot be cancelled: when workers are killed, Python 3.11
+    stumbles over a cancelled future, and the process may never end.
     """
 
     def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
@@ -165,7 +166,7 @@ class _Executor(ProcessPoolExecutor):
 
 
 def _enlist() -> None:
-    """Make a worker leave Ctrl-C to its parent, and not outlive it."""
+    """Make a worker leave Ctrl-C to its parent, and end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})

@@ -1,5 +1,5 @@
-"""Contacts against the master equation over the parameter space: `points`, the `scores`
-made there, and a `verdict`."""
+"""Comparison of contacts with the master equation over the parameter space: `points`,
+the `scores` made there, and a `verdict`."""
 
 from eqsim.validation.comparison import REASONS, columns
 from eqsim.validation.points import law_text

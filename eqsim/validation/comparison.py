@@ -1,5 +1,4 @@
-"""A comparison at a point of the parameter space: what it is made of, how it is scored,
-and what is not scored."""
+"""A comparison at a point of the parameter space, its score, and reasons for none."""
 
 import math
 from collections.abc import Callable
@@ -20,7 +19,7 @@ from eqsim.validation.points import Suite, law_text
 # Reasons why a comparison is left out; the first three are the program's own.
 DECLINED = ("refused", "unreliable", "vague")
 REASONS = (*DECLINED, "few contacts", "too many lives", "no reference")
-# Share of a quoted error that may be a bound: scatter then makes 98 % of it.
+# Bound over quoted error up to which a score is even: scatter then makes 98 % of it.
 _BOUND_OF_ERROR = 0.2
 # A bound, relative to what it bounds, that leaves nothing to compare.
 _VAGUE = 0.1
@@ -32,13 +31,14 @@ class LeftOut(Exception):
 
 @dataclass(frozen=True)
 class Score:
-    """A comparison: its kind, the ensemble and velocity, what the engine and the master
-    said, and z; `even` if sigma is scatter, so that z is normal; elsewhere bounds add
-    to it, and z is small.
+    """A comparison: its kind, the ensemble and velocity, the `value` of the engine, the
+    `reference` of the master equation, the error `sigma` of their difference, and z;
+    `even` if sigma is scatter, so that z is normal; elsewhere bounds add to it, and z is
+    small.
 
-    Of a hazard law these are the distance of Kolmogorov and Smirnov, 0, and n^(-1/2) of
-    n lives. Of a slider that a stage pulls there are the `stage`, the `count` of its
-    contacts, and the `time` of the hold or pull."""
+    For a hazard law the numbers are the distance of Kolmogorov and Smirnov, 0, and
+    n^(-1/2) of n lives. For a slider that a stage pulls there are the `stage`, the
+    `count` of its contacts, and the `time` of the hold or pull."""
 
     kind: str
     ensemble: Ensemble
@@ -54,8 +54,8 @@ class Score:
 
 
 class Unscored(NamedTuple):
-    """A comparison that was asked for and not made, and why: one of `REASONS`, and what
-    the program said."""
+    """A comparison that was asked for and not made, with one of `REASONS`, and the
+    program's message."""
 
     kind: str
     ensemble: Ensemble
@@ -68,9 +68,9 @@ Found = list[Score | Unscored]
 
 
 class Point(NamedTuple):
-    """A point of the parameter space: its number, the ensemble, the one that the engine
-    is shown, its seed and that of the suite, and the threads that simulate it; of a
-    slider that a stage pulls also the last three of `Score`."""
+    """A point of the parameter space: its number, the ensemble of the reference, the one
+    `shown` to the engine, its seed and that of the suite, and the threads that simulate
+    it; of a slider that a stage pulls also the last three fields of `Score`."""
 
     number: int
     ensemble: Ensemble
@@ -84,11 +84,11 @@ class Point(NamedTuple):
     time: float = math.nan
 
     def stream(self, *numbers: int) -> int:
-        """A seed for something drawn here."""
+        """A seed for this point and these numbers."""
         return stream(self.seed, *numbers)
 
     def rng(self, number: int) -> np.random.Generator:
-        """A generator for something drawn here."""
+        """A generator for this point and this number."""
         return np.random.default_rng((self.seed, number))
 
     def drive(self, distance: float, start: Start = "fresh") -> Drive:
@@ -96,15 +96,15 @@ class Point(NamedTuple):
         return Drive(self.velocity, distance, start)
 
     def without(self, kinds: tuple[str, ...], reason: str, message: str = "") -> Found:
-        """None of these comparisons made."""
+        """Leave out comparisons of these kinds."""
         where = self.ensemble, self.velocity
         return [Unscored(kind, *where, reason, message) for kind in kinds]
 
     def score(
         self, kind: str, ours: Estimate, exact: Estimate, bound: float | None = None
     ) -> Score | Unscored:
-        """Score an estimate against an exact value with its error. So much of both
-        errors is a `bound`, by default that of the exact value."""
+        """Score an estimate against an exact value with its error. The `bound` is what
+        both errors have beside scatter, by default the error of the exact value."""
         value, error = known(exact), exact.stderr or 0.0
         sigma, z = math.hypot(ours.stderr or 0.0, error), z_score(ours, value, error)
         bound = error if bound is None else bound
@@ -116,9 +116,9 @@ class Point(NamedTuple):
         return Score(kind, *where, *numbers, even, self.stage, self.contacts, self.time)
 
     def uniform(self, share: Array) -> Score:
-        """Test whether numbers are uniform, as they should be."""
+        """Test whether shares are uniform in (0, 1)."""
         distance, p = stats.kstest(share, "uniform")
-        # low if it is too even
+        # negative if shares are spaced more evenly than at random
         z = float(stats.norm.isf(np.clip(p, 1e-300, 1 - 1e-16)))
         root, where = 1 / math.sqrt(share.size), (self.ensemble, self.velocity)
         return Score("hazard law", *where, float(distance), 0.0, root, z)
@@ -126,14 +126,14 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparisons of some kinds at a point, `each` of every kind."""
+    """A function that makes comparisons at a point, `each` of every kind."""
 
     kinds: tuple[str, ...]
     each: int
     make: Callable[[Point, Suite], Found]
 
     def __call__(self, point: Point, plan: Suite) -> Found:
-        """Make the comparisons; those that are refused or left out are unscored."""
+        """Make the comparisons; if refused or left out, all are unscored."""
         try:
             return self.make(point, plan)
         except LeftOut as reason:
@@ -142,19 +142,19 @@ class Comparison:
             return self.without(point, "refused", str(error))
 
     def without(self, point: Point, reason: str, message: str = "") -> Found:
-        """None of the comparisons made."""
+        """Leave out all comparisons."""
         return point.without(self.each * self.kinds, reason, message)
 
 
 def compares(
     *kinds: str, each: int = 1
 ) -> Callable[[Callable[[Point, Suite], Found]], Comparison]:
-    """Make a `Comparison` of a function that finds scores of these kinds."""
+    """Decorate a function that scores these kinds: it becomes a `Comparison`."""
     return lambda make: Comparison(kinds, each, make)
 
 
 def stream(*numbers: int) -> int:
-    """A seed of its own for all that draws."""
+    """A seed below 2^63 from these numbers, for one stream of random numbers."""
     return int(np.random.SeedSequence(numbers).generate_state(1, np.uint64)[0] >> 1)
 
 
@@ -166,19 +166,21 @@ def columns(scores: list[Score]) -> dict[str, list[Any]]:
 
 
 def _table_row(score: Score) -> dict[str, Any]:
-    of, thermal, aging = score.ensemble, score.ensemble.thermal, score.ensemble.aging
+    ensemble = score.ensemble
+    thermal, aging = ensemble.thermal, ensemble.aging
     takes = RULES[aging.rule].keys if aging.rule in RULES else ()
     others = [field.name for field in fields(Aging)[2:]]
-    found: dict[str, Any] = {"kind": score.kind, "disorder": of.disorder}
-    found |= {"barrier": thermal.barrier, "stiffness_law": of.stiffness_law}
-    found |= {"thresholds": law_text(of.thresholds), "kT": thermal.kT}
-    found |= {"aging": aging.rule, "aging_rate": aging.rate}
-    found |= {name: getattr(aging, name) if name in takes else None for name in others}
-    found |= {"delay": of.delay.time, "delay_law": of.delay.law, "eta": of.eta}
-    found |= {name: getattr(score, name) for name in ("velocity", "value", "reference")}
-    found |= {"sigma": score.sigma, "z": score.z, "even": score.even}
-    found |= {"contacts": score.count, "time": score.time}
-    found |= {f"newborn_{name}": value for name, value in vars(of.newborn).items()}
+    row: dict[str, Any] = {"kind": score.kind, "disorder": ensemble.disorder}
+    row |= {"barrier": thermal.barrier, "stiffness_law": ensemble.stiffness_law}
+    row |= {"thresholds": law_text(ensemble.thresholds), "kT": thermal.kT}
+    row |= {"aging": aging.rule, "aging_rate": aging.rate}
+    row |= {name: getattr(aging, name) if name in takes else None for name in others}
+    delay, newborn = ensemble.delay, ensemble.newborn
+    row |= {"delay": delay.time, "delay_law": delay.law, "eta": ensemble.eta}
+    row |= {name: getattr(score, name) for name in ("velocity", "value", "reference")}
+    row |= {"sigma": score.sigma, "z": score.z, "even": score.even}
+    row |= {"contacts": score.count, "time": score.time}
+    row |= {f"newborn_{name}": value for name, value in vars(newborn).items()}
     for name in ("stiffness", "damping", "preload"):
-        found[f"stage_{name}"] = getattr(score.stage, name, None)
-    return {name: math.nan if x is None else x for name, x in found.items()}
+        row[f"stage_{name}"] = getattr(score.stage, name, None)
+    return {name: math.nan if x is None else x for name, x in row.items()}

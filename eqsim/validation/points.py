@@ -51,10 +51,10 @@ _SHAPES = {
 
 
 class Suite(NamedTuple):
-    """Numbers of parameter points, of those that are also tested for fluctuations,
-    contacts and ensembles of these tests in turn, the fewest contacts of a transient,
-    for as long as they take fewer than `lives` lives, how many sliders on a few
-    contacts behind a spring are followed, and the tolerance of their steps in holds."""
+    """Size of a suite: `points` parameter points, `wide` of which are also tested for
+    fluctuations, with `sizes` (contacts, ensembles) in turn; at least so many `contacts`
+    in a transient unless they take more than `lives` lives; and `replicas` of sliders on
+    a few contacts behind a spring, whose steps in holds have a `tolerance`."""
 
     points: int
     wide: int
@@ -87,8 +87,8 @@ WHOLE = Part()
 def sample(
     count: int, seed: int, part: Part = WHOLE
 ) -> Iterator[tuple[int, Ensemble, float]]:
-    """Index, ensemble and velocity of points over the whole parameter space, the same
-    for the same seed; of all points or of a `part` of them."""
+    """Index, ensemble and velocity of the points of a seed, all over the parameter
+    space; of all points or of a `part` of them."""
     first, step = part
     rng, laws, aging, growing, newborn = (
         np.random.default_rng((seed, stream)) for stream in (1, 4, 3, 5, 6)
@@ -121,7 +121,7 @@ def sample(
         elif newborn.random() < 1 / 4:
             ensemble = _stretched_at_birth(ensemble, newborn)
         if index % step != first:
-            continue  # lives take time
+            continue  # before lives are sampled, which takes time
         if delay:
             time = delay * typical_life(ensemble, v * unit) / (v * unit)
             ensemble = replace(ensemble, delay=Delay(time, ensemble.delay.law))
@@ -211,16 +211,16 @@ def _aging(ensemble: Ensemble, v: float, rng: np.random.Generator) -> Ensemble:
     rate = 10 ** rng.uniform(-3, 1) * v * min(unit, final)
     at_once, cold = rng.random() < 0.15, rng.random() < 0.25
     if at_once and (ensemble.disorder == "annealed" or not RULES[rule].fluctuates):
-        rate, rule = math.inf, "flow"  # all the same to annealed contacts
+        rate, rule = math.inf, "flow"  # annealed contacts do not tell rules apart
     if cold:
         ensemble = replace(ensemble, thermal=replace(ensemble.thermal, kT=0.0))
     return replace(ensemble, aging=Aging(rule, rate, final))
 
 
 def typical_life(ensemble: Ensemble, v: float) -> float:
-    """About the mean stretch at breaking; births of annealed contacts that age are
-    those of lives as long as the mean threshold, which is also the answer where there
-    is no telling."""
+    """About the mean stretch at breaking, with births of annealed contacts that age as
+    of lives as long as the mean threshold; the mean threshold where lives cannot be
+    sampled."""
     mean = ensemble.thresholds.mean
     try:
         travel = typical_lives(contacts(ensemble, v, mean)).travel

@@ -9,9 +9,8 @@ longer than the hold none is pinned again, and the law of one or two contacts is
 integral over their thresholds (`pinned_in_hold`, derived), as that of many is behind a
 spring so stiff that a break moves the slider by nothing.
 
-Steps are judged by their quoted errors, which hold all that a step four times as long
-changes: scores are small. Their order is no matter of a suite; a test of its own knows
-it.
+Steps are scored by their quoted errors, which include all that a step four times as
+long changes, so that scores are small. Another test finds their order.
 """
 
 import math
@@ -37,23 +36,23 @@ from eqsim.numerics.tables import Array
 from eqsim.validation.comparison import Found, LeftOut, Point, compares
 from eqsim.validation.points import Suite
 
-# Octaves of e = -ln P(xi > .): less than 1e-12 of all thresholds is weaker, 1e-13
+# Octaves of e = -ln P(xi > .): less than 1e-12 of all thresholds are weaker, 1e-13
 # stronger.
 _HAZARD_OCTAVES = range(-40, 6)
 # Gauss-Legendre nodes in each octave, for one and for two contacts.
 _PER_OCTAVE = {1: 48, 2: 9}
-# By how much of a pinned share a break moves a slider behind an all but rigid spring.
+# Error of a pinned share from the motion of an all but rigid slider when contacts break.
 _MOVED_BY_BREAK = 1e-6
 # Longest hold, in attempts; beyond, pinned contacts stay.
 _LONGEST_HOLD = 1e12
-# Looks at a hold, against one.
+# Records of a hold, compared with one record at its end.
 _LOOKS = 50
-# Contacts of a slider that slips in avalanches: their cut-off at 4/(1 - rho)^2 breaks
-# is far below.
+# Contacts of a slider that slips in avalanches: far more than their cut-off at
+# 4/(1 - rho)^2 breaks.
 _AVALANCHING = 2000
-# Such sliders, whose scatter is the error.
+# Sliders that slip in avalanches, whose scatter is the error.
 _SLIDERS = 16
-# By how much the law of sizes may be off where thresholds have gaps.
+# Error of the law of sizes where thresholds have gaps.
 _GAPS = 1e-4
 # Breaks that make the force, n <f_s>^2/<f_s^2>, for a mean over them to be normal.
 _CARRYING = 400
@@ -78,8 +77,8 @@ def compare_pulled(point: Point, plan: Suite) -> Found:
 
 
 def _bare(ensemble: Ensemble, count: int, delay: Delay) -> Ensemble:
-    """So many contacts with the same thresholds, stiffness and heat, without aging and
-    viscosity, born unstretched."""
+    """`count` contacts with the same thresholds, stiffness and temperature, and this
+    delay; without aging and viscosity, born unstretched."""
     ensemble = replace(ensemble, eta=0.0, aging=Aging(), newborn=Newborn())
     return replace(ensemble, count=count, delay=delay)
 
@@ -101,8 +100,8 @@ def nodes(law: ThresholdLaw, each: int) -> tuple[Array, Array]:
 
 
 def rates(ensemble: Ensemble, xi: Array, stretch: Array) -> Array:
-    """Thermal breaking rates, per time, of contacts of those thresholds and stretches
-    (any shape), below them."""
+    """Thermal breaking rates, per time, of contacts with thresholds `xi` and stretches
+    below these (any shape)."""
     if ensemble.disorder != "annealed":
         success = _success(ensemble, xi, stretch)
     else:  # attempts draw thresholds of their own
@@ -123,7 +122,6 @@ def _success(ensemble: Ensemble, xi: Array, stretch: Array) -> Array:
 
 
 def _stiffness(ensemble: Ensemble, xi: Array) -> Array:
-    """The stiffness of contacts of those thresholds."""
     law, rms = ensemble.stiffness_law, ensemble.thresholds.rms
     return np.asarray(ensemble.stiffness * relative_stiffness(law, xi, rms))
 
@@ -132,7 +130,8 @@ def pinned_in_hold(
     ensemble: Ensemble, stage: Stage, each: int
 ) -> Callable[[float], float]:
     """The pinned share as a function of the time of a hold, from a fresh start: of one
-    or two contacts, or of many behind a spring that is all but rigid."""
+    or two contacts, or of many behind a spring that is all but rigid; by quadrature with
+    `each` nodes in an octave."""
     law, kappa, pull = ensemble.thresholds, stage.stiffness, stage.preload or 0.0
     xi, share = nodes(law, each)
     k = relative_stiffness(ensemble.stiffness_law, xi, law.rms)
@@ -180,8 +179,8 @@ def _hold(
     point: Point, rng: np.random.Generator, kappa: float, tolerance: float
 ) -> Point:
     """The point with a spring that stretches contacts to 0.2 to 0.8 of the mean
-    threshold, and a hold in which about half of those break that hold at first. Raises
-    LeftOut if they stay."""
+    threshold, and a hold in which about half of the contacts pinned at first break.
+    Raises LeftOut if they stay."""
     ensemble, shown = map(_alike_if_pooled, (point.ensemble, point.shown))
     point = point._replace(ensemble=ensemble, shown=shown)
     stretch = rng.uniform(0.2, 0.8) * point.ensemble.thresholds.mean
@@ -199,15 +198,16 @@ def _hold(
 
 
 def _alike_if_pooled(ensemble: Ensemble) -> Ensemble:
-    """The same contacts; annealed ones of the same stiffness, and so the same stretch,
-    for which pooled rates take few quadratures."""
+    """The same contacts, but annealed ones of uniform stiffness: all have the same
+    stretch, so that pooled rates take few quadratures."""
     if ensemble.disorder == "annealed":
         return replace(ensemble, stiffness_law="uniform")
     return ensemble
 
 
 def _pinned(point: Point, waits: Delay, looks: int, seed: int, plan: Suite) -> Estimate:
-    """The pinned share at the end of a hold. Raises LeftOut if all replicas agree."""
+    """The pinned share at the end of a hold with so many records (`looks`). Raises
+    LeftOut if all replicas agree."""
     hold = Segment(0.0, time=point.time, points=looks)
     run = trajectory(
         _bare(point.shown, point.contacts, waits),
@@ -225,8 +225,8 @@ def _pinned(point: Point, waits: Delay, looks: int, seed: int, plan: Suite) -> E
 @compares("hold")
 def holds(point: Point, plan: Suite) -> Found:
     """The pinned share after a hold of the stage, against the exact law: of one or two
-    contacts, or of a hundred behind a spring that is all but rigid; all detached ones
-    stay so."""
+    contacts, or of a hundred behind a spring that is all but rigid; none is pinned
+    again."""
     rng = point.rng(6)
     held = _hold(point, rng, 10 ** rng.uniform(-1.5, 0.5), plan.tolerance)
     counts = [1, 2, _RIGID] if plan.replicas >= _REPLICAS_OF_ONE else [2, _RIGID]
@@ -247,8 +247,8 @@ def holds(point: Point, plan: Suite) -> Found:
 
 @compares("pieces")
 def pieces(point: Point, plan: Suite) -> Found:
-    """2 to 100 contacts after a hold that is looked at once, and another time often:
-    nothing may depend on that."""
+    """The pinned share of 2 to 100 contacts after a hold with one record, and with many:
+    it must not depend on their number."""
     rng = point.rng(7)
     held = _hold(point, rng, 10 ** rng.uniform(-1.5, 0.5), plan.tolerance)
     held = held._replace(contacts=int(rng.choice([2, 5, 10, 30, 100])))
@@ -265,8 +265,8 @@ def pieces(point: Point, plan: Suite) -> Found:
 
 
 class _Pull(NamedTuple):
-    """Displacements of replicas after a pull, (replicas,), and what the quoted error of
-    their mean has beyond their scatter."""
+    """Displacements of replicas after a pull, (replicas,), and the part of the quoted
+    error of their mean that is not scatter."""
 
     X: Array
     bias: float
@@ -276,9 +276,9 @@ class _Pull(NamedTuple):
 def steps(point: Point, plan: Suite) -> Found:
     """A damped slider on 10 to 100 contacts whose stage moves by 1.5 mean thresholds:
     its displacement in steps of the largest tolerance and one ten times smaller. With
-    the same random numbers replicas are compared one by one, so that what steps cost
-    shows beside their scatter; the error is that of the mean difference and what the
-    quoted errors have beyond the scatter of replicas."""
+    the same random numbers replicas are compared one by one, so that errors of steps
+    show beside their scatter; the error is that of the mean difference and the part of
+    the quoted errors that is not scatter."""
     rng, n, v = point.rng(8), plan.replicas, point.velocity
     count, kappa = int(rng.choice([10, 30, 100])), float(10 ** rng.uniform(-0.3, 0.7))
     shown = _bare(point.shown, count, Delay())

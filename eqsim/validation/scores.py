@@ -2,27 +2,27 @@
 units of the quoted errors. Each function says what it compares.
 
 Thresholds that fluctuate (`langevin`) are plain Monte Carlo, with steps whose bias,
-below 1e-3, is part of the quoted error. Their hazard is not known path by path; the
-whole law of x_b, S(x_b) uniform, stands in for it. There is no reference for
-fluctuations of aging quenched contacts whose stiffness follows their thresholds (sqrt
-law), nor for `langevin` contacts and annealed ones that age along programmes. Of
-discrete laws the renewal equation in two times says little, as equal thresholds break
-together. Births of annealed contacts that age are found once a point, with the steady
-averages, and then held.
+below 1e-3, is part of the quoted error. Their hazard is not known path by path; instead
+S(x_b), the survival at the stretch where a contact breaks, is tested to be uniform.
+There is no reference for fluctuations of aging quenched contacts whose stiffness
+follows their thresholds (sqrt law), nor for `langevin` contacts and annealed ones that
+age along programmes. With discrete laws equal thresholds break together, and the
+renewal equation in two times has large errors. Births of annealed contacts that age are
+found once a point, with the steady averages, and then held.
 
-Some quoted errors are bounds: what all randomisations may miss of a few thresholds,
-tables of laws whose density jumps, grids where F jumps, because equal thresholds break
-together. With them |z| is too small to be normal. A score is even if bounds make less
-than a fifth of its error, which is known without its value; uneven ones count among the
-largest only: with a bias as large as the bound |z| exceeds any t > 2 less often than a
-normal score does. Means are scored if as many as 400 contacts carry the force, squares
-if a pilot says that 1600 do and that no small part of them makes the error, as with
-heavy tails.
+Some quoted errors are bounds: of what all randomisations may miss of a few thresholds,
+of tables of laws whose density jumps, of grids where F jumps, because equal thresholds
+break together. With them |z| is too small to be normal. A score is even if bounds make
+less than a fifth of its error, which is known without its value; uneven ones count
+among the largest only: with a bias as large as the bound |z| exceeds any t > 2 less
+often than a normal score does. Means are scored if as many as 400 contacts carry the
+force, squares if a pilot run finds that 1600 do and that their error does not come from
+a few groups, as with heavy tails.
 
-Variances are taken about the master's mean, as means of squares. Their scores are the Y
-of a test suite of stochastic simulators, (s^2 - sigma^2) over the error of s^2, with
-that error, ((mu_4 - sigma^4)/n)^(1/2), from the scatter of the squares in the sample:
-forces of one contact, or of twenty, are far from normal.
+Variances are means of squares about the mean of the master equation. Their scores are
+the Y of test suites for stochastic simulators, (s^2 - sigma^2) over the error of s^2,
+with that error, ((mu_4 - sigma^4)/n)^(1/2), from the scatter of the squares in the
+sample: forces of one contact, or of twenty, are far from normal.
 """
 
 import math
@@ -59,36 +59,37 @@ from eqsim.validation.points import Suite
 
 # Displacements of a transient, each with an ensemble of its own.
 _DISPLACEMENTS = 8
-# Segments of a programme, and those of jitter, which go back and forth.
+# Segments of a programme that are compared.
 _SEGMENTS_COMPARED = 4
+# Segments of jitter, back and forth in turn.
 _JITTER = 8
 # Relative error of steady averages.
 _REL_ERROR = 1e-4
-# Contacts of either state that carry the force, n <f>^2/<f^2>, for a mean over them to
-# be normal, and for a mean of squares.
+# Contacts that carry the force (`_carrying`) from which on a mean over them is taken to
+# be normal, and a mean of squares.
 _ENOUGH_CONTACTS = 400
 _ENOUGH_SQUARES = 1600
-# Share of the sum of squares of 64 normal numbers, of which the largest makes more once
+# Share of the sum of squares of 64 normal numbers that the largest square exceeds once
 # in fifty times.
 _LARGEST_SHARE = 0.2
 # Groups of contacts, whose scatter is the error of a variance.
 _GROUPS = 64
 # Cells of the grid of a transient, times thresholds of a table.
 _GRID_CELLS = 120_000
-# How far, relatively, below a threshold of a table contacts that have it still live.
+# Relative distance below a threshold of a table at which its contacts still live.
 _JUST_BELOW = 1e-13
-# Contacts of a pilot, at most.
+# Contacts of a pilot run, at most.
 _PILOT = 400_000
-# Rounding of a threshold that was computed in two ways; as many lives end by heat as
-# close to it.
+# Rounding of a threshold that is computed in two ways; a share as small of lives ends by
+# heat so close to it.
 _THRESHOLD_ROUNDING = 1e-12
 # Standard deviation over mean of thresholds, below which references of warm programmes
 # take minutes.
 _NARROW_LAW = 0.03
 # Lives of one comparison, at most.
 _MOST_LIVES = 1e8
-# How much longer `langevin` lives take than others; stationary ones are found by
-# trying.
+# Time of a `langevin` life over that of others, and of a stationary one, found by
+# rejection, over that of these.
 _DEAR = 20
 
 
@@ -102,30 +103,30 @@ def compare_driven(point: Point, plan: Suite) -> Found:
         fluctuating: stride and number % stride == 2,
     }
     chosen = [compare for compare, wanted in asked.items() if wanted]
-    # the first 65 536 lives of `langevin` contacts will do
+    # `langevin` lives are slow: the first 65 536, which any error takes, are enough
     rel_error = 1.0 if point.shown.fluctuates else _REL_ERROR
     try:
-        found = steady(
+        sampled = steady(
             point.shown,
             Drive(point.velocity),
             rel_error=rel_error,
             seed=point.suite_seed,
             threads=point.threads,
         )
-        scores = averages(point, found)
-        point = point._replace(shown=_held(point.shown, point.velocity, found))
+        scores = averages(point, sampled)
+        point = point._replace(shown=_held(point.shown, point.velocity, sampled))
     except InputError as error:
         scores = point.without((*OBSERVABLES,), "refused", str(error))
         for compare in chosen:
             scores += compare.without(point, "refused", str(error))
         return scores
-    return scores + [one for compare in chosen for one in compare(point, plan)]
+    return scores + [score for compare in chosen for score in compare(point, plan)]
 
 
 def _followed(ensemble: Ensemble) -> bool:
-    """True if there is a reference along programmes. It takes minutes of quenched
-    contacts that heat breaks and whose smooth law is so narrow that steps are very
-    short: these are left out."""
+    """True if there is a reference along programmes, and it does not take minutes, as
+    for quenched contacts that heat breaks with a smooth law so narrow that steps are
+    very short."""
     if ensemble.self_consistent or ensemble.fluctuates or ensemble.newborn.active:
         return False
     law, warm = ensemble.thresholds, ensemble.thermal.kT > 0.0
@@ -133,34 +134,34 @@ def _followed(ensemble: Ensemble) -> bool:
     return not (narrow and warm and ensemble.disorder == "quenched")
 
 
-def _held(ensemble: Ensemble, v: float, found: Steady) -> Ensemble:
-    """The same contacts; births of annealed ones that age are held at the stretch C
-    that was `found`."""
+def _held(ensemble: Ensemble, v: float, sampled: Steady) -> Ensemble:
+    """The same contacts; births of annealed ones that age are held as they are at the
+    mean stretch C at breaking that was `sampled`."""
     if not ensemble.self_consistent:
         return ensemble
-    held = births(ensemble, v, known(found.break_stretch))
+    held = births(ensemble, v, known(sampled.break_stretch))
     return replace(ensemble, thresholds=held, aging=Aging())
 
 
-def averages(point: Point, found: Steady) -> Found:
+def averages(point: Point, sampled: Steady) -> Found:
     """Steady averages, to a relative error of 1e-4, or of `langevin` contacts from
-    65 536 lives."""
+    65 536 lives, against the reference."""
     exact = reference(point.ensemble, Drive(point.velocity), variance=True).averages()
     scores: Found = []
-    for name, ours in found.averages().items():
+    for name, ours in sampled.averages().items():
         theirs = exact[name]
-        if name not in found.shown or theirs.value is None:
+        if name not in sampled.shown or theirs.value is None:
             continue
         if ours.stderr == theirs.stderr == 0.0:
             continue  # pinned without delay: 1, exactly
-        if not ours.reliable:  # and says so
+        if not ours.reliable:
             scores += point.without((name,), "unreliable")
             continue
         response = abs(known(ours)) * (1.0 - known(ours) if name == "pinned" else 1.0)
-        hidden, stderr = found.hidden * response, ours.stderr or 0.0
+        hidden, stderr = sampled.hidden * response, ours.stderr or 0.0
         scatter = math.sqrt(max(stderr**2 - hidden**2, 0.0))
         if point.shown.fluctuates and scatter > hidden:
-            # what steps may cost is a bound, mostly far from reached
+            # the bound of the bias of steps is mostly far from reached
             ours, hidden = replace(ours, stderr=scatter), 0.0
         bound = math.hypot(hidden, theirs.stderr or 0.0)
         scores.append(point.score(name, ours, theirs, bound))
@@ -180,8 +181,8 @@ class _End(NamedTuple):
 def _end_of(
     drive: Drive | Programme, exact: Transient, i: int, drag: float, moved: float = 0.0
 ) -> _End:
-    """The end of a drive, row `i` of a reference along a path that is `moved` by so
-    much."""
+    """The end of a drive: row `i` of a reference, whose force may be off by `moved`, the
+    path of crawls and jitter that are holds in it."""
     assert exact.force_variance is not None
     assert exact.force_variance_error is not None
     mean, error = float(exact.force[i]), float(exact.force_error[i])
@@ -197,12 +198,13 @@ def _score_end(
     kinds: tuple[str, ...],
     streams: tuple[tuple[int, ...], ...],
 ) -> Found:
-    """Score the mean force at the end of a drive, and by other contacts its variance,
-    for which a pilot tells whether there are enough; each draws from its own stream."""
+    """Score the mean force at the end of a drive, and by other contacts its variance, if
+    a pilot run finds enough of them. Force, pilot and variance have random numbers of
+    their own, `streams`."""
     shown, level, variance = point.shown, known(end.mean), known(end.variance)
     few = shown.count * end.carrying
-    # few that have broken make the variance if all others have the same force; the law
-    # of `langevin` contacts is not known well enough to say how large it is
+    # if nearly all have the same force, the few that have broken make its variance; the
+    # law of `langevin` contacts is not known well enough to tell how large that is
     broken = shown.count * variance / max(level**2, 1e-300)
     if isinstance(end.drive, Programme):
         broken = math.inf
@@ -225,9 +227,9 @@ def _score_end(
 def _affordable(
     point: Point, plan: Suite, drive: Drive | Programme, most: int, lives: float
 ) -> Point:
-    """The point with as many contacts as the suite affords along a drive, `most` of
-    them or so many `lives`. Raises LeftOut at velocities so low that even few take too
-    long."""
+    """The point with as many contacts as the suite affords along a drive, at most `most`
+    of them, or as many as have so many `lives`. Raises LeftOut if even few contacts have
+    too many lives, as at low velocities."""
     ages = point.shown.aging.rule != "none" and isinstance(drive, Programme)
     dear = _DEAR if point.shown.fluctuates or ages else 1
     cost = predicted_lives(replace(point.shown, count=1), drive)
@@ -241,8 +243,8 @@ def _affordable(
 
 @compares("transient", "transient variance", each=_DISPLACEMENTS)
 def transients(point: Point, plan: Suite) -> Found:
-    """Eight ensembles, each asked for F at one displacement of its own, and eight more
-    for its variance: over five mean thresholds, or over two lives and delays."""
+    """The mean force at eight displacements, each of an ensemble of its own, and its
+    variance, of others: over five mean thresholds, or over two lives and delays."""
     ensemble, v = point.ensemble, point.velocity
     typical = reference(ensemble, Drive(v))
     distance = 5 * ensemble.thresholds.mean
@@ -250,7 +252,7 @@ def transients(point: Point, plan: Suite) -> Found:
         distance = 2 * (known(typical.travel) + v * ensemble.delay.time)
     whole = point.drive(distance)
     sized = _affordable(point, plan, whole, 20_000, 1e6)
-    # near jumps of F the error is what a few cells of the grid make of it
+    # a grid fine enough for jumps of F, whose error is that of a few cells
     steps = ensemble.thresholds.steps.size
     every = max(1, _GRID_CELLS // (_DISPLACEMENTS * max(12, steps))) if steps else 1
     exact = transient(ensemble, whole, points=_DISPLACEMENTS * every + 1, variance=True)
@@ -265,9 +267,9 @@ def transients(point: Point, plan: Suite) -> Found:
 
 
 class HeldProgramme(NamedTuple):
-    """A programme, and the `same` but for segments so slow, or so short and many, that
-    they are holds: of each segment of that, where it ends among those of the
-    `programme`, and by how much the force differs at most."""
+    """A `programme` some of whose holds are crawls or jitter, and the `same` one with
+    plain holds. Segment i of `same` ends with the first `ends[i]` segments of the
+    `programme`; their forces differ by `off` at most."""
 
     programme: Programme
     same: Programme
@@ -285,32 +287,32 @@ def programme_of(point: Point) -> HeldProgramme:
     life = known(reference(point.ensemble, Drive(v)).break_stretch)
     speed, length = 10 ** rng.uniform(-1, 1), 10 ** rng.uniform(-0.5, 0.5)
     first = Segment(v * speed, distance=life * length, points=1)
-    segments, same, ends, moved = [first], [first], [1], 0.0
+    segments, plain, ends, moved = [first], [first], [1], 0.0
     forward = True
-    while len(same) < _SEGMENTS_COMPARED:
+    while len(plain) < _SEGMENTS_COMPARED:
         kind = rng.choice(["hold", "reversal", "step"])
         if kind == "hold":
             hold = Segment(0.0, time=life / v * 10 ** rng.uniform(-1, 2), points=1)
             pieces = _pieces(hold, life, v, rng)
             moved += max(piece.path for piece in pieces)
-            same.append(hold)
+            plain.append(hold)
         else:
             forward = forward == (kind == "step")
             distance = life * 10 ** rng.uniform(-0.7, 0.5)
             velocity = (1 if forward else -1) * v * 10 ** rng.uniform(-1, 1)
             pieces = [Segment(velocity, distance=distance, points=1)]
-            same += pieces
+            plain += pieces
         segments += pieces
         ends.append(len(segments))
     start: Start = "stationary" if rng.random() < 0.5 else "fresh"
-    whole, slow = (Programme(tuple(each), start, v) for each in (segments, same))
-    return HeldProgramme(whole, slow, ends, moved)
+    whole, same = (Programme(tuple(each), start, v) for each in (segments, plain))
+    return HeldProgramme(whole, same, ends, moved)
 
 
 def _pieces(
     hold: Segment, life: float, v: float, rng: np.random.Generator
 ) -> list[Segment]:
-    """A hold as it is, or as segments that all but stand."""
+    """A hold as it is, or as a crawl or jitter of next to no displacement."""
     kind, time = rng.choice(["hold", "crawl", "jitter"]), hold.duration
     if kind == "hold":
         return [hold]
@@ -326,15 +328,15 @@ def _pieces(
 def programmes(point: Point, plan: Suite) -> Found:
     """The force at the end of each segment of a programme (steps, holds, crawls,
     jitter, reversals), from an ensemble of its own, and from another its variance."""
-    whole, same, ends, moved = programme_of(point)
+    whole, plain, ends, moved = programme_of(point)
     sized = _affordable(point, plan, whole, 100_000, 4e6)
     try:
-        exact = transient(point.ensemble, same, 2, variance=True)
-    except InputError:  # of tails so long that a stationary start has no reference
-        whole, same = (replace(one, start="fresh") for one in (whole, same))
-        exact = transient(point.ensemble, same, 2, variance=True)
+        exact = transient(point.ensemble, plain, 2, variance=True)
+    except InputError:  # tails may be too long for a stationary start
+        whole, plain = (replace(each, start="fresh") for each in (whole, plain))
+        exact = transient(point.ensemble, plain, 2, variance=True)
     scores: Found = []
-    for i, (segment, last) in enumerate(zip(same.segments, ends, strict=True), 1):
+    for i, (segment, last) in enumerate(zip(plain.segments, ends, strict=True), 1):
         drag = _drag(point.ensemble, abs(segment.velocity))
         drag = math.copysign(drag, segment.velocity)
         drive = replace(whole, segments=whole.segments[:last])
@@ -344,9 +346,9 @@ def programmes(point: Point, plan: Suite) -> Found:
 
 
 def _many(pilot: Array) -> bool:
-    """True if many contacts make the mean of squares of which a pilot found these, in
-    _GROUPS groups: its relative error is as if _ENOUGH_SQUARES had equal parts, and is
-    not of one group (as with tails so heavy that there is no error)."""
+    """True if many contacts contribute to the mean of squares, by the `pilot` run of
+    _GROUPS groups: its relative error is as if _ENOUGH_SQUARES did so equally, and does
+    not come from one group (as with tails so heavy that there is no error)."""
     off = (pilot - pilot.mean()) ** 2
     return bool(
         pilot.mean() ** 2 * _GROUPS >= _ENOUGH_SQUARES * pilot.var(ddof=1) > 0
@@ -362,10 +364,10 @@ def _drag(ensemble: Ensemble, v: float) -> float:
 
 
 def _carrying(level: float, variance: float, pinned: float, drag: float) -> float:
-    """The share of contacts that make the mean force `level`, as if each of these did
-    as much: <f>^2/<f^2>, f the force above the `drag`, which all detached contacts
-    carry alike. Where pinned contacts are few, or detached ones with their drag, it is
-    these that make its fluctuations."""
+    """The share of contacts that carry the mean force `level`, as if equally:
+    <f>^2/<f^2>, f the force above the `drag`, which all detached contacts carry alike;
+    at most that of pinned contacts, and of detached ones with a drag, as fluctuations
+    of the force come from the rarer state."""
     share = (level - drag) ** 2 / max((level - drag) ** 2 + variance, 1e-300)
     return min(share, pinned, 1.0 - pinned if drag else 1.0)
 
@@ -381,14 +383,13 @@ def _mean_squares(
 
 @compares("hazard", "hazard law")
 def hazards(point: Point, plan: Suite) -> Found:
-    """Integrated hazards at breaking against Exp(1), censored at each contact's own
-    threshold, two ways.
+    """Integrated hazards Lambda at breaking against Exp(1), censored at each contact's
+    own threshold xi, in two ways.
 
-    A life that ends by heat counts 1; the integrated hazard it went through has the
-    same mean, and is the variance of the difference. And of the lives that heat would
-    have ended somewhere before the threshold, a fraction U = (1 - exp(-Lambda))/(1 -
-    exp(-Lambda(xi))) ends where they did or earlier: U of those it did end is uniform.
-    Of `langevin` contacts S(x_b) is uniform, S the mean over paths.
+    The number of lives that end by heat has the mean of the sum of integrated hazards,
+    which is also the variance of their difference. And of lives that end by heat, U =
+    (1 - exp(-Lambda))/(1 - exp(-Lambda(xi))) is uniform: the conditional probability to
+    end as early. For `langevin` contacts S(x_b) is uniform, S the mean over paths.
     """
     s = settled(point.ensemble, point.velocity)
     if not (s.barrier.thermal or s.aging.fluctuates):
@@ -436,20 +437,20 @@ def _integrated(s: Reduced, xi: Array, x: Array) -> Array:
 
     # The rate is greatest at the ends of a life, where the nodes crowd.
     accuracy = {"atol": 1e-9, "rtol": 1e-7, "maxlevel": 12}
-    found = integrate.tanhsinh(rate, 0.0, x, args=(xi,), **accuracy)
-    return np.asarray(found.integral)
+    hazard = integrate.tanhsinh(rate, 0.0, x, args=(xi,), **accuracy)
+    return np.asarray(hazard.integral)
 
 
 def _pooled_hazards(s: Reduced, x: Array) -> Array:
-    """Integrated hazards of annealed contacts: -ln of survival over J_c, just below x,
-    where a discrete law still has the threshold x."""
+    """Integrated hazards of annealed contacts: -ln of survival over J_c; of a discrete
+    law just below x, so that a threshold x still counts."""
     order = np.argsort(x.ravel())
     below = x.ravel()[order] * (1.0 - _JUST_BELOW if s.law.steps.size else 1.0)
-    # a threshold that cannot be is no survivor
+    # not 0 beyond the largest threshold
     ahead = np.maximum(s.law.sf(below * s.law.scale), 1e-300)
-    alive, found = profile_of(s).at(below)[0] / ahead, np.empty(x.size)
-    found[order] = -np.log(np.clip(alive, 1e-300, 1.0))
-    return found.reshape(x.shape)
+    alive, hazard = profile_of(s).at(below)[0] / ahead, np.empty(x.size)
+    hazard[order] = -np.log(np.clip(alive, 1e-300, 1.0))
+    return hazard.reshape(x.shape)
 
 
 @compares("mean", "variance", "covariance")
@@ -472,8 +473,7 @@ def fluctuating(point: Point, plan: Suite) -> Found:
     if predicted_lives(shown, point.drive(lag)) * ensembles > most:
         raise LeftOut("too many lives")
     exact = fluctuations(ensemble, point.drive(lag), points=2)
-    # contacts that make the force in all ensembles together, and of these the share
-    # that does after the lag
+    # contacts that carry the force in all ensembles together
     carrying = _carrying(level, float(exact.covariance[0]), known(means.pinned), drag)
     carry = count * ensembles * carrying
     square, product = (exact.covariance + (level - drag) ** 2).tolist()
@@ -483,11 +483,10 @@ def fluctuating(point: Point, plan: Suite) -> Found:
     group = replace(shown, count=max(1, min(count * ensembles, _PILOT) // _GROUPS))
     of_squares = carry / _ENOUGH_SQUARES
     if of_squares >= 1.0:
-        found = _mean_squares(level, group, at_once, point.stream(1))
-        of_squares *= _many(found)
+        of_squares *= _many(_mean_squares(level, group, at_once, point.stream(1)))
     forces, _ = _forces(shown, point.drive(lag, "stationary"), ensembles, point.seed)
     first, second = (forces - level).T
-    # what the error of C can do
+    # error of the mean, also that of C at which births are held
     held = _REL_ERROR * level if ensemble.self_consistent else 0.0
     off = math.hypot(held, means.friction.stderr or 0.0)
     values, errors = exact.covariance / count, exact.error / count
@@ -495,6 +494,7 @@ def fluctuating(point: Point, plan: Suite) -> Found:
     for kind, enough, terms, value, error in (
         ("mean", True, forces[:, 0], level, off),
         ("variance", of_squares >= 1.0, first**2, values[0], errors[0]),
+        # few contacts may carry the force at both instants
         (
             "covariance",
             of_squares * product >= square,

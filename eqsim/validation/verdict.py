@@ -1,11 +1,11 @@
-"""The engine against the master equation over the parameter space: the verdict.
+"""Verdict on the engine, compared with the master equation over the parameter space.
 
-A suite draws parameter points (`points`) and compares, point by point, what contacts
-estimate with what the master equation says, each difference as a score z in units of
+A suite draws parameter points (`points`) and compares, point by point, estimates from
+contacts with values of the master equation, each difference as a score z in units of
 the quoted errors (`scores`).
 
-What is asked for and not scored is counted by reason: refused by the program, called
-unreliable by it, or too vague, an error that leaves nothing to compare; too few
+Comparisons that are not scored are counted by reason: refused by the program, called
+unreliable by it, or too vague, with an error that leaves nothing to compare; too few
 contacts, too many lives, no reference. A suite in which the program declines (the first
 three) more of a kind than is scored does not pass.
 
@@ -41,6 +41,7 @@ from eqsim.validation.points import SUITES, WHOLE, Part, sample
 
 KINDS = (*scores.DRIVEN_KINDS, *pulled.PULLED_KINDS)
 
+# Probability of a kind's scores below which it fails.
 ALARM = 1e-4
 
 Mutation = Callable[[Ensemble], Ensemble]
@@ -69,12 +70,12 @@ class Validation:
     Attributes
     ----------
     suite, seed
-        As they were asked for.
+        Arguments of `validate`.
     scores : list of Score
     verdicts : list of Verdict
         One for each of `KINDS`.
     unscored : list of Unscored
-        What was left out, and why.
+        Comparisons left out, with reasons.
     """
 
     suite: str
@@ -103,20 +104,20 @@ class Validation:
 
     @property
     def passed(self) -> bool:
-        """True if every kind passes, and the program declined no more of any than it
-        made."""
+        """True if every kind passes, and the program declined no more comparisons of any
+        kind than were scored."""
         return all(verdict.passed for verdict in self.verdicts) and not self.declined
 
     @property
     def declined(self) -> list[str]:
-        """Kinds of which the program refused more than was scored."""
+        """Kinds of which the program declined more comparisons than were scored."""
         left = left_out(self.unscored)
         return [v.kind for v in self.verdicts if declined(v.kind, v.count, left)]
 
     @property
     def p_overall(self) -> float:
-        """Probability of a p-value as small as the smallest of all kinds, or an upper
-        bound of it (Bonferroni)."""
+        """Upper bound (Bonferroni) of the probability of a p-value as small as the
+        smallest of all kinds."""
         return p_overall(self.verdicts)
 
 
@@ -130,8 +131,8 @@ def left_out(unscored: list[Unscored]) -> dict[str, dict[str, int]]:
 
 
 def declined(kind: str, count: int, left: dict[str, dict[str, int]]) -> bool:
-    """True if the program would not do, or not be trusted with, more comparisons of a
-    kind than were made."""
+    """True if more comparisons of a kind were declined by the program (`DECLINED`) than
+    the `count` made."""
     return sum(left.get(kind, {}).get(reason, 0) for reason in DECLINED) > count
 
 
@@ -175,12 +176,12 @@ def validate(
     suite : str
         "quick" (32 points), "full" (240) or "verification" (1008).
     seed : int
-        Of the points and of the lives.
+        Seed of the points and of the lives.
     threads : int
-        Changes speed only.
+        Number of threads; it changes speed only.
     wrong : callable, optional
-        Changes the ensemble that the engine sees but not the reference's: a suite that
-        then still passes is worthless.
+        Changes the ensemble that the engine sees but not the reference's, to check that
+        the suite then fails.
     part : Part or (int, int)
         (i, m) does every m-th point from the i-th on; the scores of all parts are those
         of the suite.
@@ -206,16 +207,16 @@ def validate(
     eqsim.errors.InputError: suite = 'long': must be one of "quick", "full", "verification"
     """
     require_choice("suite", suite, (*SUITES,))
-    plan, (first, step), found = SUITES[suite], part, Found()
+    plan, (first, step), every = SUITES[suite], part, Found()
     total = len(range(first, plan.points, step))
     for done, (index, ensemble, v) in enumerate(sample(plan.points, seed, part), 1):
         shown = wrong(ensemble) if wrong else ensemble
         drawn = stream(seed, index)
         point = Point(index, ensemble, shown, v, drawn, seed, threads)
-        found += scores.compare_driven(point, plan) + pulled.compare_pulled(point, plan)
+        every += scores.compare_driven(point, plan) + pulled.compare_pulled(point, plan)
         if progress:
             progress(done, total)
-    made = [one for one in found if isinstance(one, Score)]
-    unscored = [one for one in found if isinstance(one, Unscored)]
+    made = [one for one in every if isinstance(one, Score)]
+    unscored = [one for one in every if isinstance(one, Unscored)]
     verdicts = [judge(kind, made) for kind in KINDS]
     return Validation(suite, seed, made, verdicts, unscored)

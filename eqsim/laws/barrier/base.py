@@ -31,6 +31,7 @@ from eqsim.numerics.roots import Bracket, bisected, narrowed
 from eqsim.numerics.tables import NO_TABLE, Array
 
 _CELL_NODES, _CELL_WEIGHTS = gauss_legendre(8)
+SHORT_WAY = gauss_legendre(10)  # along a way on which E changes by less than 1
 _CELL_RANGE = 2.0  # change of E in a cell for which 8 nodes are good to 1e-12
 # cells whose E exceeds the least E at an end of the interval by so much are left out
 _NEGLIGIBLE_CELL = 40.0
@@ -110,6 +111,21 @@ class Barrier(Law):
     def log_hazard(cls, x: Any, xi: Any, a: Any) -> Array:
         """ln H(x), 0 < x <= xi."""
         raise NotImplementedError
+
+    def hazard_over(self, x: Array, way: Array, xi: Array, a: Array) -> Array:
+        """(omega/v) (H(x) - H(x - way)), 0 <= way <= x <= xi, arrays of one shape,
+        without cancellation where the barrier hardly changes on the way."""
+        ends = x, x - way
+        with np.errstate(divide="ignore", invalid="ignore"):  # x = 0
+            last, first = (self.log_hazard(end, xi, a) + self.log_w for end in ends)
+            found = -np.exp(np.minimum(last, 300.0)) * np.expm1(first - last)
+        E = [self.exponent(np.maximum(xi - end, 0.0), xi + end, xi, a) for end in ends]
+        short = abs(E[1] - E[0]) < 1.0
+        back, weights = SHORT_WAY.between(0.0 * way[short], way[short])
+        x, xi, a = (part[short, None] for part in (x, xi, a))
+        log_rate = self.log_rate(x - back, xi, a) + self.log_w
+        found[short] = (np.exp(np.minimum(log_rate, 300.0)) * weights).sum(axis=1)
+        return np.asarray(found)
 
     def whole_hazard(self, xi: Array, stiffness: Array) -> Array:
         """(omega/v) H(xi) of contacts of relative stiffness `stiffness`; beyond e^7

@@ -42,6 +42,17 @@ class Soft(Numbers, Barrier):
         with np.errstate(divide="ignore"):  # x = 0
             return cls.log_rate(x, xi, a) + np.log(special.dawsn(root * x) / root)
 
+    def hazard_over(self, x: Array, way: Array, xi: Array, a: Array) -> Array:
+        root, gap = np.sqrt(a), np.maximum(xi - x, 0.0)
+        z, dz = root * x, root * way
+        less = dz * (2.0 * z - dz)
+        found = special.dawsn(z) - np.exp(-less) * special.dawsn(z - dz)
+        short = less < 1.0
+        t, weights = base.SHORT_WAY.between(0.0 * dz[short], dz[short])
+        found[short] = (np.exp(-t * (2.0 * z[short, None] - t)) * weights).sum(axis=1)
+        spent = np.exp(np.minimum(self.log_w - a * gap * (xi + x), 300.0))
+        return np.asarray(spent * found / root)
+
     @classmethod
     def width(cls, exponent: Any, y: Any, a: Any) -> Array:
         return np.asarray((exponent / a) / (y + np.sqrt(y**2 + exponent / a)))

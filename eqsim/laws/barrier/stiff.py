@@ -42,6 +42,14 @@ class Stiff(Numbers, Barrier):
             log_H = math.log(2 / 3) - np.log(a * xi) - c * (1 - gap15)
             return log_H + np.log(-np.expm1(-c * gap15))
 
+    def hazard_over(self, x: Array, way: Array, xi: Array, a: Array) -> Array:
+        c, q, step = a * xi**2, np.maximum(xi - x, 0.0) / xi, way / xi
+        lower = q + step
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rise = step * (lower**2 + lower * q + q**2) / (lower**1.5 + q**1.5)
+        size = np.exp(np.minimum(self.log_w - c * q**1.5, 300.0)) / (1.5 * a * xi)
+        return np.asarray(-np.expm1(-c * np.where(step > 0, rise, 0.0)) * size)
+
     @classmethod
     def width(cls, exponent: Any, y: Any, a: Any) -> Array:
         return np.asarray(y * np.minimum((exponent / (a * y**2)) ** (2.0 / 3.0), 1e6))
