@@ -23,7 +23,7 @@ from eqsim.numerics.compiled import kernel, routine
 from eqsim.numerics.streams import Key
 from eqsim.numerics.tables import Array
 
-_ROOM = 8192  # avalanches for each call of a kernel: so many that it costs nothing
+_ROOM = 8192  # avalanches per call of a kernel, so many that calls cost nothing
 
 # Slider and stage; forces and energies are divided by the number of contacts.
 STATE = np.dtype(
@@ -32,8 +32,8 @@ STATE = np.dtype(
         ("Y", np.float64),  # displacement of the stage
         ("force", np.float64),
         ("stiffness", np.float64),  # of all contacts
-        ("X_begun", np.float64),  # where the avalanche that goes on has begun
-        ("force_begun", np.float64),  # at which force
+        ("X_begun", np.float64),  # X where the avalanche that goes on has begun
+        ("force_begun", np.float64),  # force there
         ("size", np.int64),  # its breaks so far; 0 if none goes on
         ("breaks", np.int64),  # so far
         ("work", np.float64),  # of the stage
@@ -64,7 +64,7 @@ class Queue(NamedTuple):
 
 
 class Way(NamedTuple):
-    """Where the stage goes."""
+    """Motion of the stage."""
 
     stiffness: float  # of its spring
     until: float  # displacement at its end

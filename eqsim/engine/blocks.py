@@ -1,5 +1,5 @@
-"""Blocks of contacts, handed to threads or to the workers of an executor: integer sums
-that simply add up."""
+"""Simulate blocks of contacts in threads or in the workers of an executor, and add up
+their integer sums."""
 
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -19,21 +19,21 @@ from eqsim.numerics.threads import ThreadPool, interruptibly
 Progress = Callable[[int], None]
 Threads = int | tuple[Executor, int]
 _LEAST_BLOCK = 128  # contacts, at least, unless there are fewer
-# shares of blocks for each worker of an executor: few enough that tables and sums
-# travel seldom, and workers end together
+# shares of blocks for each worker of an executor: few, so that tables and sums are
+# seldom sent, but several, so that workers end together
 _SHARES_PER_WORKER = 4
 
 
 class Totals:
     """Integer sums of one thread or share of the contacts, in `rows` for `points`
-    instants; those of several simply add up. Of replicas the forces at these instants
-    are noted, and one by one if they are `kept`."""
+    instants; those of several add up. Forces of replicas at these instants are added,
+    too, and stored one by one if they are `kept`."""
 
     names = ("deposits", "windows", "counts", "replica_sum", "replica_square")
 
     def __init__(self, rows: int, points: int, replicas: int) -> None:
         self.deposits = np.zeros(rows, DEPOSIT)
-        # of the ensemble at hand
+        # sums of the ensemble at hand
         self.scratch = np.zeros(rows, DEPOSIT) if replicas > 1 else self.deposits
         self.windows = np.zeros((BATCHES, 2), WINDOW)
         self.counts = np.zeros(2, np.int64)
@@ -45,7 +45,7 @@ class Totals:
         self.forces: list[tuple[int, Array]] = []  # with their replica
 
     def close_replica(self, job: "Job", contacts: int, replica: int) -> None:
-        """Note the force of the ensemble just simulated, the `replica`, and clear the
+        """Add the force of the ensemble just simulated, number `replica`, and clear the
         sums for the next one."""
         if self.scratch is self.deposits:
             return
@@ -81,14 +81,14 @@ def _integers(sums: Array) -> Array:
 
 
 class Job(Protocol):
-    """A run, as those see it who follow a block of its contacts."""
+    """Interface of a run that is simulated in blocks of contacts."""
 
     @property
     def replica_scales(self) -> tuple[float, float]:
         """Powers of 2 that turn a replica's force, and its square, into integers."""
 
     def totals(self, replicas: int) -> Totals:
-        """Sums of nothing yet."""
+        """Empty sums."""
 
     def simulate(self, total: Totals, first: int, last: int) -> None:
         """Follow contacts first <= i < last and add up what they leave in its sums."""
@@ -98,8 +98,8 @@ class Job(Protocol):
 
 
 class _Division(NamedTuple):
-    """How contacts are divided: block i is those from edges[i] up to edges[i + 1],
-    whole ensembles of `contacts` if there are replicas."""
+    """Division of contacts: block i holds those from edges[i] up to edges[i + 1], whole
+    ensembles of `contacts` if there are replicas."""
 
     edges: Sequence[int]
     contacts: int
@@ -107,8 +107,8 @@ class _Division(NamedTuple):
 
     @classmethod
     def of(cls, contacts: int, replicas: int, workers: int, alike: bool) -> "_Division":
-        """`alike`, a few for each worker, or ever smaller ones, so that those who take
-        them in turn end together."""
+        """Make equal blocks, a few for each worker (`alike`), or ever smaller ones, so
+        that threads that take them in turn end together."""
         count = contacts * replicas
         if replicas > 1:
             return cls(range(0, count + 1, contacts), contacts, replicas)
@@ -124,13 +124,14 @@ class _Division(NamedTuple):
 
 
 def _follow_blocks(
-    job: Job, blocks: _Division, which: Iterable[int], total: Totals | None = None
+    job: Job, blocks: _Division, numbers: Iterable[int], total: Totals | None = None
 ) -> Totals:
-    """Simulate some blocks, in a thread or in a worker of an executor."""
+    """Simulate the blocks of these `numbers`, in a thread or a worker of an
+    executor."""
     if total is None:  # a worker sends back sums only
         total = job.totals(blocks.replicas)
         total.kept = False
-    for i in which:
+    for i in numbers:
         if total.stop[0]:
             break
         job.simulate(total, blocks.edges[i], blocks.edges[i + 1])
@@ -148,7 +149,7 @@ def require_lives(expected: float, max_lives: float) -> None:
 
 
 def workers_of(threads: Threads) -> int:
-    """How many there are."""
+    """Number of threads, or of workers of an executor."""
     return threads[1] if isinstance(threads, tuple) else max(1, threads)
 
 
@@ -168,8 +169,8 @@ class Simulated(NamedTuple):
         return int(self.total.lives[0])
 
     def columns(self, unit: float) -> dict[str, Any]:
-        """Fields of a `records.Record` that need no more, for a `unit` of length; the
-        force of every replica only if they were kept."""
+        """Fields of a `records.Record` that follow from these sums, for a `unit` of
+        length; the force of every replica only if it was kept."""
         std = forces = None
         if self.replicas > 1:
             std = self.total.replica_std(self.job, self.replicas) * unit

@@ -1,5 +1,5 @@
-"""Every break of the contacts of a run, one by one: of small ensembles, as their number
-is that of lives."""
+"""List every break of the contacts of a run. Meant for small ensembles: there are as
+many breaks as lives."""
 
 import math
 from dataclasses import dataclass
@@ -21,8 +21,8 @@ from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool, current_stop
 from eqsim.results import Drawn, Result
 
-_BREAKS_BLOCK = 4 * LANES  # contacts whose breaks are noted together, whoever does it
-# room for breaks, over their predicted number; with more a block is done again
+_BREAKS_BLOCK = 4 * LANES  # contacts whose breaks are listed by one kernel call
+# room for breaks, over their predicted number; a block with more is repeated
 _MARGIN = 1.5
 MOST_BREAKS = 20_000_000  # 0.8 GB
 
@@ -35,7 +35,7 @@ class Breaks(Result):
     Attributes
     ----------
     replica, contact : ndarray of int
-        Which of the independent ensembles, and which of its contacts.
+        Number of the independent ensemble, and of the contact in it.
     t, X : ndarray
         Time and displacement of the slider (length) at which it breaks.
     stretch, travel : ndarray
@@ -74,9 +74,9 @@ def breaks(
         Constant velocity (length/time) over a distance, from a fresh start; neither a
         programme nor a stage nor blocks.
     seed : int
-        Of the random numbers; the result depends on nothing else.
+        Seed of the random numbers; threads and blocks change nothing.
     replicas : int
-        Independent ensembles.
+        Number of independent ensembles.
     threads : int
         Changes speed only.
 
@@ -124,7 +124,7 @@ def breaks(
 
 
 def check_breaks(ensemble: Ensemble, drive: Drive, output: Output) -> float:
-    """About how many breaks there are. Raises InputError if they cannot be listed."""
+    """Predict the number of breaks. Raises InputError if they cannot be listed."""
     require_drive(drive)
     if drive.start != "fresh":
         raise InputError(

@@ -19,10 +19,10 @@ class Contacts(NamedTuple):
     thresholds: Thresholds
     springs: Springs
     barrier: Any  # a `Barrier`, or `Pooled` if attempts draw fresh thresholds
-    barrier_table: Array  # what `laws.barrier.base.stretch` looks up
-    hazard_table: Array  # what `laws.barrier.base.hazard` looks up
+    barrier_table: Array  # for `laws.barrier.base.stretch`
+    hazard_table: Array  # for `laws.barrier.base.hazard`
     aging: Any  # an `AgingLaw`
-    aging_table: Array  # what `laws.aging.base.work` looks up
+    aging_table: Array  # for `laws.aging.base.work`
     delay: Waits
     newborn: Any  # `Unstressed` or `Stretched`
 

@@ -18,8 +18,8 @@ def normals_of(u: float, v: float) -> tuple[float, float]:
 
 @routine(inline=True)
 def pairs_of(shape: float) -> int:
-    """How many pairs of squares of normals there are in chi-square of 2 shape + 1
-    degrees of freedom; -1 if it is drawn in another way."""
+    """Number of pairs of squared normals in chi-square of 2 shape + 1 degrees of
+    freedom; -1 if `try_chi_square` draws it."""
     freedom = 2.0 * shape + 1.0
     whole = freedom == math.floor(freedom) and freedom < 14.0
     return int(freedom) // 2 if whole else -1
@@ -61,7 +61,7 @@ def try_chi_square(
     third = half - 1.0 / 3.0
     a, b, d, _ = midpoints(key, contact, life, draw)
     z, _ = normals_of(a, b)
-    root = max(1.0 + z / math.sqrt(9.0 * third), 1e-30)  # so small, it is refused
+    root = max(1.0 + z / math.sqrt(9.0 * third), 1e-30)  # so small that it is rejected
     cube = root * root * root
     taken = log(d) < 0.5 * z * z + third * (1.0 - cube + log(cube))
     return 2.0 * third * cube * lift if taken else 0.0

@@ -61,7 +61,7 @@ _PROGRESS = np.dtype(
         ("level", np.float64),  # q D
         ("block", np.int64),  # where the avalanche began
         ("size", np.int64),  # its breaks so far; 0 if none goes on
-        ("blocks", np.int64),  # that it has broken contacts of
+        ("blocks", np.int64),  # with at least one of its breaks
         ("released", np.float64),  # sum of its stretches at breaking
         ("avalanches", np.int64),  # so far, as all that follows
         ("singles", np.int64),  # avalanches of one break
@@ -111,11 +111,11 @@ class Response(NamedTuple):
     """Displacements of all blocks after a break, on their lattice."""
 
     G: Array  # `Elastic.response`
-    reach: Array  # of each row of G
+    reach: Array  # largest column distance of a block that moves, for each row of G
     nx: int  # columns
     ny: int  # rows
     periodic: bool
-    unit: float  # that positions are multiples of, a power of 2
+    unit: float  # a power of 2, of which positions are multiples
 
 
 @routine(inline=True)
@@ -618,8 +618,8 @@ def _estimates(
 
 
 def _transient_is_over(laws: Contacts, X: Array, error: float) -> bool:
-    """Whether the start moves friction by less than half its error, in the second half.
-    The answer is that for independent contacts, whose law is exact."""
+    """True if the start moves friction in the second half by less than half its error.
+    Taken from independent contacts, whose law is exact."""
     born = births(laws)
     level = scatter(laws, born, None, 0.0)
     late = scatter(laws, born, float(X[-1]), 0.0)

@@ -14,7 +14,7 @@ from eqsim.laws.threshold import Smooth
 from eqsim.model.ensemble import Ensemble
 
 _TABLES = 1e-9  # relative error of averages over tables
-# and over the tabulated inverse of a pooled hazard, of smooth laws and of discrete ones
+# likewise over the inverse of a pooled hazard, of smooth and of discrete laws
 _POOLED_SMOOTH = 2e-7
 POOLED_STEPS = 3e-5
 
@@ -28,7 +28,7 @@ class Unseen(NamedTuple):
 
 
 def table_errors(ensemble: Ensemble, c: Contacts, step: float) -> Unseen:
-    """Errors of what lives are looked up in, and of `step`s of paths."""
+    """Errors of the tables of lives, and of a `step` of paths."""
     means = _TABLES
     if isinstance(c.barrier, Pooled):
         means = POOLED_STEPS if c.thresholds.steps.size else _POOLED_SMOOTH
@@ -46,8 +46,8 @@ def table_errors(ensemble: Ensemble, c: Contacts, step: float) -> Unseen:
 def hidden_errors(
     c: Contacts, proposal: Proposal | None, count: int, tables: Unseen, diverges: bool
 ) -> Unseen:
-    """Errors of tables, and of lives of which `count` may have met too few; of squares
-    only if their mean does not diverge."""
+    """Errors of tables, and of kinds of lives so rare that `count` lives may have met
+    too few; of unmet squares only if their mean does not diverge."""
     others = math.hypot(rare_clocks(c, proposal, count), uneven_thresholds(c, count))
     # both lower the mean square, so that they add up
     unmet = 0.0 if diverges else unmet_squares(c, proposal, count)
@@ -56,8 +56,8 @@ def hidden_errors(
 
 
 def rare_clocks(c: Contacts, proposal: Proposal | None, count: int) -> float:
-    """Error that clocks may hide of which `count` lives meet fewer than four, early or
-    late; 0 without clocks, and of paths, whose errors are of another size."""
+    """Error due to clocks, early or late, of which `count` lives meet fewer than four;
+    0 without heat, and for paths, whose other errors are larger."""
     if not c.barrier.thermal or c.aging.fluctuates:
         return 0.0
     shares, rare = (np.arange(16) + 0.5) / 16, 4.0 * 0.5 ** np.arange(37) / count
@@ -66,18 +66,18 @@ def rare_clocks(c: Contacts, proposal: Proposal | None, count: int) -> float:
     weight = weight.reshape(2, rare.size)
     u, v = np.meshgrid(shares, clock, indexing="ij")
     found, errors = lives_on_grid(c, u.ravel(), v.ravel()), []
-    for part in (found.work, found.travel):
-        part = part.reshape(shares.size, *weight.shape)
+    for reward in (found.work, found.travel):
+        reward = reward.reshape(shares.size, *weight.shape)
         # grows with rarity
-        change = np.abs(part - part[:, :, :1]).mean(axis=0) * weight
-        size = np.abs(part[:, :, 0]).mean()
+        change = np.abs(reward - reward[:, :, :1]).mean(axis=0) * weight
+        size = np.abs(reward[:, :, 0]).mean()
         errors.append(float(change.sum(axis=0)[1:] @ -np.diff(rare) / size))
     return max(errors)
 
 
 def unmet_squares(c: Contacts, proposal: Proposal | None, count: int) -> float:
-    """What lives of which `count` may have met none add to the mean square of forces,
-    relative to that of all others: those beyond the last threshold, and all that are
+    """Share that lives add to the mean square of forces, relative to all others, of
+    which `count` may have met none: those beyond the last threshold, and all that are
     too rare among plain births."""
     if proposal is not None:
         return proposal.squares.beyond

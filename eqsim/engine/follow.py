@@ -1,12 +1,11 @@
-"""The one loop in which contacts are followed: along segments at constant velocity,
-LANES at a time.
+"""Follow contacts along a segment at constant velocity, LANES at a time.
 
-What becomes of their lives is a matter of a recorder, a NamedTuple by whose type
-kernels are compiled: `recorder` adds up forces on a grid, `breaks` lists breaks,
-`steady` sums plain lives. A recorder has the fields `carries`, whether where lives
-break is found for all lanes together, and `stop`, of which anything but 0 ends the
-kernel; and bodies of `admit`, `note_lives` and, if it keeps something for each lane,
-`move_lane`.
+A recorder, a NamedTuple by whose type kernels are compiled, takes their lives:
+`recorder` adds up forces on a grid, `breaks` lists breaks, `randomise` sums plain
+lives. It has the fields `carries`, True if `follow` finds travels before it calls
+`note_lives`, and `stop`, a flag (1,) of which anything but 0 ends the kernel. It has
+bodies of `note_lives`, of `admit` unless its contacts begin alike, and of `move_lane`
+if it keeps something for each lane.
 """
 
 from typing import Any
@@ -28,9 +27,9 @@ from eqsim.numerics.compiled import by_law, kernel
 
 @by_law
 def admit(recorder: Any, c: Contacts, lanes: Lanes, lane: int, contact: int) -> bool:
-    """Put a contact into an idle lane, unless it has come to its end. Fills its number,
-    how often lives of it were drawn, and where its next one begins: that is
-    `recorder.begin` times, and at 0, unless a recorder knows better."""
+    """Put a contact into an idle lane; False if it has no birth before its end. Fills
+    its number, how often lives were drawn for it, and the position of its next birth:
+    by default `recorder.begin` and 0."""
     lanes.contact[lane] = contact
     lanes.age[lane] = recorder.begin
     lanes.position[lane] = 0.0
@@ -41,15 +40,16 @@ def admit(recorder: Any, c: Contacts, lanes: Lanes, lane: int, contact: int) -> 
 def note_lives(
     recorder: Any, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
 ) -> bool:
-    """Note the lives of round r of the `active` lanes. Moves these contacts to their
-    next births. Lanes from there to `padded(active)` are idle, and may be used. Returns
-    whether any contact has come to its end, and has its next birth at infinity."""
+    """Record the lives of round r of the `active` lanes, and move these contacts to
+    their next births, at infinity if that is beyond their end. Lanes from `active` to
+    `padded(active)` are idle, and may be overwritten. Returns whether any contact has
+    come to its end."""
     raise TypeError("no recorder")
 
 
 @by_law
 def move_lane(recorder: Any, source: int, target: int) -> None:
-    """Move what is kept of a lane to another one."""
+    """Move what a recorder keeps for a lane to another lane."""
 
 
 @kernel

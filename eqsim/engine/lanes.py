@@ -1,4 +1,4 @@
-"""Lives of many contacts side by side: drawing them, and how far each is carried."""
+"""Draw lives of many contacts side by side, and find where each breaks."""
 
 import math
 from typing import Any, NamedTuple
@@ -25,7 +25,7 @@ from eqsim.numerics.vector_math import log
 LANES = 256
 # Lives of a contact drawn together: half of a Philox result serves one draw.
 ROUNDS = 2
-# Lanes are used in such groups, so that no loop ends in a tail of single ones.
+# Lanes are used in groups of so many, so that vectorised loops leave no remainder.
 _GROUP = 32
 
 # Numbers of the draws of a life: each has random numbers of its own.
@@ -40,7 +40,7 @@ class Lanes(NamedTuple):
     """Contacts that advance together, arrays (LANES,)."""
 
     contact: Array  # their numbers
-    age: Array  # how many times ROUNDS lives of them were drawn
+    age: Array  # how often ROUNDS lives were drawn for each
     position: Array  # displacement at the next birth; infinite in idle lanes
     number: Array  # scratch: numbers of lives
     words: Array  # scratch: random bits, (4, LANES)
@@ -59,7 +59,7 @@ class Lives(NamedTuple):
 
     threshold: Array  # at birth
     birth: Array  # stretch at birth
-    clock: Array  # what the exponential clock shows at breaking: infinite without heat
+    clock: Array  # hazard at which heat breaks the contact, infinite without heat
     delay: Array  # between the break and the next birth
     stiffness: Array  # k_i/k at birth
     travel: Array  # from birth to breaking
@@ -72,8 +72,8 @@ class Lives(NamedTuple):
 
     @classmethod
     def empty(cls, c: Contacts, followed: Any = (), rounds: int = ROUNDS) -> "Lives":
-        """Lives that clocks never end. Contacts are born unstressed, as stiff as
-        uniform ones, with the mean delay."""
+        """Lives before any is drawn: without heat, born unstressed, with the stiffness
+        of the uniform law and the mean delay."""
         lives = np.zeros((7, rounds, LANES))
         lives[2] = math.inf
         lives[3] = c.delay.mean
@@ -93,16 +93,16 @@ def idle_lanes(c: Contacts, key: Key) -> tuple[Lanes, Lives]:
 
 @routine(inline=True)
 def padded(active: int) -> int:
-    """Number of lanes that kernels work on if so many are active."""
+    """Round a number of active lanes up to whole groups."""
     return min(LANES, (active + _GROUP - 1) // _GROUP * _GROUP)
 
 
 class Birth(NamedTuple):
-    """A life as it is drawn."""
+    """Threshold, stretch at birth and exponential clock of a life."""
 
     threshold: float
-    stretch: float  # at birth
-    clock: float  # at breaking
+    stretch: float
+    clock: float
 
 
 # ---- drawing lives ----
@@ -248,7 +248,7 @@ def delay_of_the_first(c: Contacts, key: Key, contact: int) -> float:
 
 @by_law
 def carry_lives(law: Any, c: Contacts, lives: Lives, count: int) -> None:
-    """Find travel and stiffness of the first `count` lanes, by the law of births."""
+    """Fill travel and stiffness of the first `count` lanes, by the law of births."""
     for r in range(lives.threshold.shape[0]):
         break_lives(c.aging, c, lives, r, count)
 

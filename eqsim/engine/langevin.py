@@ -6,7 +6,7 @@ to be short where something can happen in between: next to the stretch that come
 meet the threshold, and where the thermal rate counts. Far from both a step is so long
 that it ends at least 1/STEP standard deviations away from them; close by it is never
 shorter than what moves the threshold by a fraction STEP/4 of itself, or the barrier by
-3 STEP in units of 2 kT, and by more where a break is unlikely. In a step
+3 STEP in units of kT, and by more where a break is unlikely. In a step
 
     passage    a Brownian bridge with the same end points meets the stretch with probability exp(-2 g0 g1/(2 D_v h)),
                g the distance between threshold and stretch, at a time of inverse
@@ -53,12 +53,12 @@ from eqsim.numerics.vector_math import exp, exp_less_one, log
 STEP = 0.35  # the default accuracy of steps
 STEP_ERROR = 1e-3  # what they may cost then, relative; falls as the square of STEP
 WALKERS = 64  # paths that advance side by side
-# heat counts where the hazard_of_step from here to the threshold is above exp(-7)
+# heat counts where the hazard from here to the threshold is above exp(-7)
 _MOST_QUIET = 7.0
-_SCATTERS = 0.03  # hazard_of_step of a step from which on its scatter counts
+_SCATTERS = 0.03  # hazard of a step from which on its scatter counts
 # ln of a factor on the chance to touch, up to which first order will do
 _FIRST_ORDER = 0.05
-_MISSED_ORDERS = 0.4  # and a bound on what it misses beyond
+_MISSED_ORDERS = 0.4  # bound on what first order misses beyond
 
 
 class Pinned(NamedTuple):
@@ -134,7 +134,7 @@ def variance_rate(law: Langevin) -> float:
 
 @routine(inline=True)
 def pinned(c: Contacts, moves: float) -> Pinned:
-    """The laws of steps."""
+    """Laws of steps in which the stretch `moves`."""
     return Pinned(c.barrier, c.springs, c.aging, moves)
 
 
@@ -143,7 +143,7 @@ def pinned(c: Contacts, moves: float) -> Pinned:
 
 @routine(inline=True)
 def reaches(distance: float, spread: float, speed: float) -> float:
-    """The h after which speed h + spread sqrt(h) = distance."""
+    """Solve speed h + spread sqrt(h) = distance for h."""
     both = spread + math.sqrt(spread * spread + 4.0 * speed * distance)
     return (2.0 * distance / both) * (2.0 * distance / both)
 
@@ -174,8 +174,8 @@ def halfway(c: Pinned, xi: float, along: float, end: float, lost: float) -> Half
 def pace(
     c: Pinned, xi: float, x: float, left: float, most: float, step: float
 ) -> tuple[Any, Any, Any]:
-    """How long a step from threshold `xi` and stretch `x` may be, at most `most`; the
-    thermal rate now, and the slope of the barrier over 2 kT with the threshold."""
+    """Longest step from threshold `xi` and stretch `x`, at most `most`; the thermal
+    rate now, and the slope of E with the threshold."""
     careful = c.moves <= 0.0 and thermal(c.barrier)
     step = path_step(c.barrier) * step * (0.5 if careful else 1.0)
     alpha, final2 = c.aging.alpha, c.aging.final2
@@ -195,14 +195,14 @@ def pace(
     barrier, rate = height(c.barrier, xi, x, a), heat(c, xi, x)
     slope = height_slope(c.barrier, xi, x, a) + barrier * c.springs.slope / k0
     while_here = gap if c.moves > 0.0 else max(gap, most)
-    # -ln of the hazard_of_step over as much as the gap
+    # -ln of the hazard over a travel as long as the gap
     quiet = max(barrier - c.barrier.log_w - log(while_here), 0.0)
     slight = step * (1.0 + 0.5 * quiet)
     far = reaches(max(quiet - _MOST_QUIET, 0.0) / slope, sigma / step, speed)
     least = reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed)
     least = min(least, slight / alpha)
     h = min(h, max(far, least))
-    # what comes long after the clock has stopped says little about when it stops
+    # steps long beyond the end of the clock would place a break inaccurately
     return (2.0 * left / rate if rate * h > 2.0 * left else h), rate, slope
 
 
@@ -234,7 +234,7 @@ def bridge_of(c: Pinned, xi: float, x: float, h: float, end: float) -> Bridge:
 
 @routine(inline=True)
 def meets(c: Pinned, xi: float, x: float, h: float, end: float, passage: float) -> bool:
-    """Whether a threshold that went from `xi` to `end` has met the stretch in between;
+    """True if a threshold that went from `xi` to `end` has met the stretch in between;
     `passage` is a uniform. Some of these passages are yet to be `confirmed`. The chance
     is that of a Brownian bridge kept away from 0, corrected for how the drift differs,
     to first order, on a path that touches and on one that does not."""
@@ -256,7 +256,7 @@ def meets(c: Pinned, xi: float, x: float, h: float, end: float, passage: float) 
 def confirmed(
     c: Pinned, xi: float, x: float, h: float, end: float, passage: float
 ) -> bool:
-    """Whether a passage of `meets` holds: for n < 1/2 next to 0, where first order
+    """True if a passage of `meets` holds: for n < 1/2 next to 0, where first order
     fails, by `touching`."""
     gap, ahead, variance, touch, swerve, pull = bridge_of(c, xi, x, h, end)
     n = c.aging.shape
@@ -305,8 +305,9 @@ def whole_work(c: Pinned, x: float, work: float) -> float:
 
 @routine
 def meeting(c: Pinned, path: Path, h: float, end: float) -> tuple[Any, Any, Any]:
-    """After which part of a step the threshold has met the stretch, both there, and the
-    next draw (Michael, Schucany and Haas, 1976)."""
+    """Draw when in a step the threshold has met the stretch (Michael, Schucany and
+    Haas, 1976). Returns the length of the step until then, the common value of both,
+    and the next draw."""
     a, b, d, _ = midpoints(path.key, path.contact, path.life, path.draw)
     z, _ = normals_of(a, b)
     x, gap = path.x, path.xi - path.x
@@ -324,8 +325,9 @@ def meeting(c: Pinned, path: Path, h: float, end: float) -> tuple[Any, Any, Any]
 def burn(
     c: Pinned, path: Path, h: float, end: float, rates: Rates
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """Whether heat breaks a contact in a step, which ends there, the length of the
-    step, the threshold at its end, the hazard_of_step spent and the next draw."""
+    """Break a contact by heat in a step, if its clock runs out. Returns whether it
+    does, the length of the step until then, the threshold at its end, the hazard spent
+    and the next draw."""
     rate, between, last, slope = rates
     draw, xi, left = path.draw, path.xi, path.left
     spent, scatter = hazard_of_step(h, rate, between, last), 0.0
@@ -359,9 +361,9 @@ def burn(
 def conclude(
     c: Pinned, path: Path, h: float, end: float, met: bool, passage: float, rates: Rates
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """The end of a step in which the threshold has met the stretch, unless that is not
-    `confirmed`, or that heat may end: whether the contact breaks, how long the step is,
-    the threshold at its end, the hazard_of_step spent and the next draw."""
+    """End a step in which the threshold has met the stretch, if that is `confirmed`, or
+    heat may break the contact. Returns whether it breaks, the length of the step until
+    then, the threshold at its end, the hazard spent and the next draw."""
     broke = met and confirmed(c, path.xi, path.x, h, end, passage)
     draw, spent = path.draw, 0.0
     if broke:
@@ -426,9 +428,9 @@ def stride(
 def follow(
     c: Pinned, path: Path, length: float, step: float
 ) -> tuple[Any, Any, Any, Any]:
-    """Whether a contact breaks within a `length` of time, its path from there or from
-    the end, after how long, and the work done over k until then where the stiffness
-    varies."""
+    """Follow a path for a `length` of time at most. Returns whether the contact breaks,
+    its path there or at the end, the time until then, and the work done over k where
+    the stiffness varies."""
     broke, elapsed, total = False, 0.0, 0.0
     while not broke and elapsed < length:
         broke, path, h, work = stride(c, path, length - elapsed, step)
@@ -439,8 +441,8 @@ def follow(
 
 class Paths(NamedTuple):
     """Lives to be followed, arrays (n,): contact and number of each life, threshold at
-    birth and clock at breaking; and what they come to: stretch at breaking, and int
-    (k_i/k) x dx until then."""
+    birth and clock at breaking; and results: stretch at breaking, and int (k_i/k) x dx
+    until then."""
 
     contact: Array
     number: Array
@@ -475,18 +477,18 @@ class Walkers(NamedTuple):
     passage: Array
     u: Array
     broke: Array
-    special: Array  # which of them need more than the usual
+    special: Array  # numbers of lanes that need `conclude`
 
     @classmethod
     def empty(cls) -> "Walkers":
-        """None on their way."""
+        """Walkers without paths."""
         whole, real = np.zeros((5, WALKERS), np.int64), np.zeros((17, WALKERS))
         return cls._make((*whole[:4], *real, np.zeros(WALKERS, np.bool_), whole[4]))
 
 
 @routine
 def draw_steps(key: Key, shape: float, w: Walkers, count: int) -> None:
-    """`random_step` of many paths."""
+    """Fill the deviates of `random_step` for many paths."""
     contact, life, draw = w.contact, w.life, w.draw
     normal, square, passage, u = w.normal, w.square, w.passage, w.u
     for i in range(count):
@@ -519,8 +521,8 @@ def draw_steps(key: Key, shape: float, w: Walkers, count: int) -> None:
 def begin_paths(
     w: Walkers, paths: Paths, lanes: int, count: int, begun: int, laws: Pinned
 ) -> tuple[int, int]:
-    """Note the ends of broken paths among the first `count` of `w.special`, and begin
-    others in their lanes: the number of lanes in use, and of paths begun."""
+    """Store the ends of broken paths among the first `count` of `w.special`, and begin
+    others in their lanes. Returns the number of lanes in use, and of paths begun."""
     for j in range(count - 1, -1, -1):  # backwards, so that no broken path fills a gap
         i = w.special[j]
         if not w.broke[i]:
@@ -559,7 +561,7 @@ def walk_all(c: Pinned, key: Key, step: float, paths: Paths, w: Walkers) -> None
     lanes = min(WALKERS, paths.threshold.size)
     for i in range(WALKERS):
         w.number[i] = -1
-        broke[i] = True  # as idle lanes are
+        broke[i] = True  # so that `begin_paths` fills the lane
         special[i] = i
         spent[i] = 0.0
     begun, count = 0, lanes
@@ -590,8 +592,8 @@ def walk_all(c: Pinned, key: Key, step: float, paths: Paths, w: Walkers) -> None
             i = special[j]
             path = Path(key, w.contact[i], w.life[i], w.draw[i], xi[i], x[i], left[i])
             rates = Rates(rate[i], between[i], last[i], slope[i])
-            found = conclude(c, path, h[i], end[i], broke[i], passage[i], rates)
-            broke[i], h[i], end[i], spent[i], w.draw[i] = found
+            step_end = conclude(c, path, h[i], end[i], broke[i], passage[i], rates)
+            broke[i], h[i], end[i], spent[i], w.draw[i] = step_end
 
         for i in range(lanes if c.springs.slope > 0.0 else 0):
             middle = halfway(c, xi[i], along[i], end[i], lost[i])

@@ -92,7 +92,7 @@ class Step(NamedTuple):
     run: Run
     scales: Scales
     drag: float
-    row: int  # of all deposits: the first one of this segment
+    row: int  # number of the first deposit of this segment
 
 
 class Steps(NamedTuple):
@@ -114,13 +114,13 @@ class Steps(NamedTuple):
         return Totals(rows, rows - 2 * len(self.steps) + 1, replicas)
 
     def simulate(self, total: Totals, first: int, last: int) -> None:
-        one, held = len(self.steps) == 1, self.steps[0].run.moves == 0
-        handed_on = not one or self.before is not None or held
+        single, held = len(self.steps) == 1, self.steps[0].run.moves == 0
+        handed_on = not single or self.before is not None or held
         kind = recorder.recorder_for(
             {recorder.recorded_alone(s.contacts, s.run) for s in self.steps}
         )
         together = _HANDED_ON_TOGETHER if handed_on else max(last - first, 1)
-        # Once if there are no contacts at all, which compiles kernels.
+        # At least once: a call without contacts compiles the kernels.
         for begin in range(first, max(last, first + 1), together):
             end = min(begin + together, last)
             start = self._population(begin, end - begin) if handed_on else self.start
@@ -281,23 +281,23 @@ def step_bias(steps: tuple[Step, ...]) -> float:
 def _variance(
     ensemble: Ensemble, programme: Programme, grid: Grid, found: Moments, count: int
 ) -> tuple[Array, bool]:
-    """Variance of the mean force, in units of the thresholds' scale. It is that of the
+    """Variance of the mean force, in units of the thresholds' scale, from that of the
     sample. The shape of its scatter (kurtosis, ...) is taken from the law in steady
-    sliding, at the worst of some velocities from the slowest to the fastest. Also
-    returns whether five standard errors mean what they say."""
+    sliding, at the worst of a few velocities from the slowest to the fastest. Also
+    returns whether five standard errors are unlikely to be exceeded."""
     paces = {leg.pace for leg in reduced.legs(ensemble, programme) if leg.sign}
     every = sorted(paces | {programme.velocity or 0.0} - {0.0})
     if not every:  # nothing moves, and nothing has
         return found.variance / count, True
     steps = (len(every) - 1) / (_MOST_LEVELS - 1)
-    some = {every[round(i * steps)] for i in range(_MOST_LEVELS)}
-    one, unit = replace(ensemble, count=1), ensemble.thresholds.scale
+    chosen = {every[round(i * steps)] for i in range(_MOST_LEVELS)}
+    single, unit = replace(ensemble, count=1), ensemble.thresholds.scale
     reach = np.maximum.accumulate(np.abs(grid.X)) / unit
     if programme.start == "stationary":
         reach[:] = math.inf
     sample = found.variance * count / (count - 1) if count > 1 else found.variance
     variance, rare = np.zeros_like(found.force), 0.0
-    for level in (_steady_scatter(one, pace) for pace in sorted(some)):
+    for level in (_steady_scatter(single, pace) for pace in sorted(chosen)):
         with np.errstate(all="ignore"):
             law = level._replace(
                 X=grid.X,

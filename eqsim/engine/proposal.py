@@ -32,8 +32,8 @@ _LOG_CLOCKS = -12, math.log(40)
 _NEGLIGIBLE_DENSITY = 1e-12
 # expected lives among all that are drawn, below which a sample may have met none
 _EXPECTED_UNMET = 4.0
-# share of the mean square that lives that may not be met make, from which on lives are
-# drawn for it, too; gamma laws at T = 0 have up to 6e-4, which shows in the scatter
+# share of unmet lives in the mean square from which on lives are drawn for it, too;
+# gamma laws at T = 0 have up to 6e-4, which shows in the scatter
 _UNMET_SQUARES = 7e-4
 
 
@@ -43,7 +43,7 @@ def births_per_log(log_e: Array) -> Array:
 
 
 def births_vary(c: Contacts) -> bool:
-    """Whether a birth takes a random number."""
+    """True if the stretch at birth is random."""
     stretched = isinstance(c.newborn, Stretched)
     return stretched and not isinstance(c.newborn.law, DeltaBirths)
 
@@ -71,9 +71,9 @@ class Density(NamedTuple):
 
     @classmethod
     def of(cls, log_e: Array, density: Array) -> "Density":
-        """From values of the density of ln e, up to a factor; values of p that cannot
-        be told apart are dropped."""
-        # on a fine grid, since the weights saw-tooth by (cell width) * e
+        """Invert values of the density of ln e, given up to a factor; values of p that
+        cannot be told apart are dropped."""
+        # fine, since in each cell weights are off by up to (cell width) * e
         fine = np.linspace(log_e[0], log_e[-1], 2**14)
         smooth = interpolate.PchipInterpolator(log_e, density)(fine)
         p = integrate.cumulative_trapezoid(smooth, fine, initial=0)
@@ -109,17 +109,16 @@ def invert(density: Density, at: Array, u: Array, weight: Array) -> None:
 
 
 class Squares(NamedTuple):
-    """Where the mean square of forces comes from: what lives contribute per ln e at
-    `log_e`, up to a factor, and the `density` of ln e of which they are drawn; arrays
-    (n,)."""
+    """Contributions to the mean square of forces per ln e at `log_e`, up to a factor,
+    and the `density` of ln e from which lives are drawn; arrays (n,)."""
 
     log_e: Array
     contribution: Array
     density: Array
 
     def unmet(self, lives: float) -> float:
-        """The share of the mean square by lives so rare that of so many `lives` fewer
-        than _EXPECTED_UNMET are expected."""
+        """Share of the mean square due to lives so rare that fewer than _EXPECTED_UNMET
+        are expected among so many `lives`."""
         parts = np.array([self.density, self.contribution])[:, ::-1]  # the rarest first
         log_e = -self.log_e[::-1]
         drawn, made = integrate.cumulative_trapezoid(parts, log_e, initial=0.0)
@@ -156,14 +155,14 @@ class Proposal(NamedTuple):
 
     @classmethod
     def of(cls, c: Contacts, variance: bool = True) -> "Proposal":
-        """Births times the root mean square of what a life contributes to friction and
-        to break_stretch, plus a tenth of plain births so that no weight can grow large;
-        all on a fixed grid. This tenth, of clocks, is the root of births: the few
-        clocks so early that they change a whole life contribute little, but errors have
-        to show them.
+        """Make densities on a fixed grid: births times the root mean square of what a
+        life contributes to friction and to break_stretch, plus a tenth of plain births
+        so that no weight can grow large. For clocks this tenth is the root of births:
+        the few clocks so early that they change a whole life contribute little, but
+        errors have to show them.
 
-        Where lives that would hardly be met make up too much of the mean square of
-        forces, and there is a `variance`, the third contribution is that to the square.
+        Where rare lives make up too much of the mean square of forces, and there is a
+        `variance`, the contribution to the square is the third one.
         """
         fine = (1000, 100) if c.aging.closed else (200, 40)  # lives that age take long
         log_e = np.linspace(*LOG_RANKS, fine[0])
@@ -175,15 +174,15 @@ class Proposal(NamedTuple):
         stretched = isinstance(c.newborn, Stretched)
         squares, sizes, roots = [], [], []
 
-        def add(part: Array) -> None:
-            """Another contribution of lives, at least 0."""
-            part = part.reshape(u.shape)
+        def add(reward: Array) -> None:
+            """Add a contribution of lives, at least 0."""
+            reward = reward.reshape(u.shape)
             # squares of extreme thresholds overflow
-            size = np.maximum(part.max(axis=1), 1e-300)
-            square = part / size[:, None]
+            size = np.maximum(reward.max(axis=1), 1e-300)
+            square = reward / size[:, None]
             square *= square
             squares.append(square)
-            sizes.append(births * size / (births @ part @ clock_births))
+            sizes.append(births * size / (births @ reward @ clock_births))
             roots.append(sizes[-1] * np.sqrt(square @ clock_births))
 
         def mixed(log_x: Array, *parts: Array) -> Array:
@@ -226,5 +225,5 @@ class Proposal(NamedTuple):
 # Points of a sweep that differ by their delay share it: it takes 20 ms.
 @functools.lru_cache(maxsize=16)
 def proposal_of(ensemble: Ensemble, velocity: float, stretch: float | None) -> Proposal:
-    """The densities for contacts of any delay, which has no part in lives."""
+    """Cached `Proposal` of an ensemble; it does not depend on the delay."""
     return Proposal.of(contacts(ensemble, velocity, stretch), not ensemble.divergence)

@@ -34,7 +34,7 @@ _BEGUN = 8  # Sobol sequences that begin at a time, at least
 
 
 class SteadyJob(NamedTuple):
-    """What does not change while a steady estimate is refined."""
+    """Parameters of a steady estimate that stay while it is refined."""
 
     ensemble: Ensemble
     velocity: float
@@ -47,9 +47,9 @@ class SteadyJob(NamedTuple):
 
 
 def randomise(job: SteadyJob, c: Contacts, size: int) -> Array:
-    """Per randomisation: mean elastic work per k, travel, square of the force added up
-    over the travel and stretch at birth; the largest single share of the first two, and
-    of the third, shape (RANDOMISATIONS, 6)."""
+    """Average over lives in each randomisation, shape (RANDOMISATIONS, 6): elastic work
+    per k, travel, square of the force added up over the travel, and stretch at birth;
+    then the largest single share of the first two, and of the third."""
     key = key_of(job.seed, STEADY + job.identity)
     together = 1
     sequences: Iterator[Sobol | None] = repeat(None)
@@ -59,7 +59,7 @@ def randomise(job: SteadyJob, c: Contacts, size: int) -> Array:
     firsts = range(0, RANDOMISATIONS, together)
     groups = [range(i, min(i + together, RANDOMISATIONS)) for i in firsts]
 
-    def some(group: range, sobol: Sobol | None) -> Array:
+    def averaged(group: range, sobol: Sobol | None) -> Array:
         if job.proposal is None or sobol is None:
             return _plainly(c, key, group.start, size, stop)
         source = Source(key, group.start * size, job.step)
@@ -75,24 +75,25 @@ def randomise(job: SteadyJob, c: Contacts, size: int) -> Array:
     alone = job.threads == 1 and job.proposal is not None and not c.aging.fluctuates
     with nullcontext() if alone else ThreadPool(job.threads) as pool:
         stop = pool.stop if pool else current_stop()
-        for found in (pool.map if pool else map)(some, groups, sequences):
+        for found in (pool.map if pool else map)(averaged, groups, sequences):
             rows.extend(found)
             report(len(rows) * size, RANDOMISATIONS * size)
     return np.array(rows)
 
 
 def _plainly(c: Contacts, key: Key, index: int, size: int, stop: Array) -> Array:
-    """`randomise` by `size` independent lives of contacts of their own."""
+    """A row of `randomise` from `size` independent lives; each row has contacts of its
+    own."""
     rounds = size // (ROUNDS * LANES)  # an attempt of another size takes other rounds
     sums = PlainSums.empty(index * LANES, rounds, 2 * rounds, stop)
     without = c._replace(delay=Waits(c.delay.mean, 0.0))  # no sum depends on a delay
     lanes = idle_lanes(without, key)
     follow(without, sums, sums.first, sums.first + LANES, *lanes)
-    # one after the other
+    # cumulative sums are added in order, without pairing: the same bits everywhere
     parts = sums.work, sums.travel, sums.square, sums.birth, sums.size
     *means, work = (np.cumsum(part)[-1] for part in parts)
     largest = max(sums.most_work.max() / work, sums.most_travel.max() / means[1])
-    # of squares, `errorbars.unmet_squares` says more than the largest one
+    # no largest share of squares: `errorbars.unmet_squares` replaces it
     return np.array([[*(mean / size for mean in means), largest, 0.0]])
 
 
@@ -118,7 +119,7 @@ class PlainSums(NamedTuple):
 
     @classmethod
     def empty(cls, first: int, begin: int, end: int, stop: Array) -> "PlainSums":
-        """Sums of nothing."""
+        """Empty sums."""
         return cls(first, begin, end, stop, *np.zeros((7, LANES)))
 
 
@@ -148,17 +149,17 @@ def _note_lives(
 def _sequences(
     job: SteadyJob, dimensions: int, size: int, groups: list[range]
 ) -> Iterator[Sobol]:
-    """Those of each group of randomisations, of `size` points each. They begin a few at
-    a time, which takes less time than one by one; threads are at work on the first
-    meanwhile."""
+    """Sobol sequences of each group of randomisations, of `size` points each. They
+    begin a few at a time, which is faster than one by one, while threads work on the
+    first."""
     at_once = -(-_BEGUN // len(groups[0]))
     for first in range(0, len(groups), at_once):
-        some = groups[first : first + at_once]
-        begin, end = some[0].start, some[-1].stop
+        begun = groups[first : first + at_once]
+        begin, end = begun[0].start, begun[-1].stop
         names = ((job.seed, STEADY, job.identity, size, i) for i in range(begin, end))
         generators = [generator(*name) for name in names]
         sobol = Sobol.of(generators, dimensions, size)
-        for group in some:
+        for group in begun:
             yield sobol.some(slice(group.start - begin, group.stop - begin))
 
 
@@ -170,8 +171,8 @@ def _weighted(
     size: int,
     stop: Array,
 ) -> Array:
-    """`randomise` by weighted Sobol points, of some sequences at once; `source` that of
-    the first one's contacts."""
+    """Rows of `randomise` from weighted points of several Sobol sequences; `source` is
+    that of the first one's contacts."""
     vary = births_vary(c)
     block = min(size, _LIVES_AT_A_TIME)
     sums = np.zeros((len(sobol.shift), 8))
@@ -206,16 +207,16 @@ def add_weighted(
         most_square = total[7]
         for i in range(row * count, (row + 1) * count):
             w, s, y = weight[i] * clock_weight[i], found.travel[i], found.birth[i]
-            one, way = w * found.work[i], w * s
-            two = w * square_of(found.stiffness[i], s, y)
-            work += one
-            travel += way
-            square += two
+            w_work, w_travel = w * found.work[i], w * s
+            w_square = w * square_of(found.stiffness[i], s, y)
+            work += w_work
+            travel += w_travel
+            square += w_square
             birth += w * y
-            size += abs(one)
-            most_work = max(most_work, abs(one))
-            most_travel = max(most_travel, abs(way))
-            most_square = max(most_square, two)
+            size += abs(w_work)
+            most_work = max(most_work, abs(w_work))
+            most_travel = max(most_travel, abs(w_travel))
+            most_square = max(most_square, w_square)
         # one by one: to assign a tuple to a slice takes seconds to compile
         total[0], total[1], total[2], total[3] = work, travel, square, birth
         total[4], total[5] = size, most_work

@@ -1,14 +1,14 @@
-"""What contacts leave on the output grid: exact ramps of force in fixed point.
+"""Record the forces of contacts on the output grid, as exact ramps in fixed point.
 
-A life pinned from X0 to X1 adds kappa (X - X0) to the force between them, so it leaves
-six numbers, which do not depend on X, at the first grid point j0 >= X0 and takes them
-back at the first j1 >= X1; cumulative sums over the grid then give the exact force, its
-variance over contacts, and the number of pinned contacts at every point. Where the
-stiffness follows an aging threshold the force is no ramp, and is left at each point for
-that point alone. Uniform stiffness makes several of the numbers equal; if there is no
-delay either, a life begins where another ends, and what both leave is added at once.
-All sums are of 64-bit integers (fixed point, one power of 2 per column, so small that
-no sum can overflow): the result cannot depend on order, threads or blocks.
+A life pinned from X0 to X1 adds kappa (X - X0) to the force between them, so six
+numbers, which do not depend on X, are added at the first grid point j0 >= X0 and
+subtracted at the first j1 >= X1; cumulative sums over the grid then give the exact
+force, its variance over contacts, and the number of pinned contacts at every point.
+Where the stiffness follows an aging threshold the force is no ramp, and is recorded at
+each point separately. Uniform stiffness makes several of the numbers equal; if there is
+no delay either, a life begins where another ends, and both are recorded at once. All
+sums are of 64-bit integers (fixed point, one power of 2 per column, so small that no
+sum can overflow): the result cannot depend on order, threads or blocks.
 """
 
 import math
@@ -27,9 +27,9 @@ from eqsim.numerics.rows import add_rows, take_rows
 from eqsim.numerics.tables import Array, search
 
 BATCHES = 64  # independent groups of contacts, whose scatter tells errors of averages
-# Force of a typical contact, in units of the last bit: rounding is far below noise.
+# Least typical force, in units of its last bit: rounding is far below noise.
 _LEAST_FORCE = 2.0**10
-# Mean work of a life in its units. Laws so broad that it matters scatter far more.
+# Least mean work, likewise. Broader laws scatter far more than they are rounded.
 _LEAST_WORK = 2.0**5
 _SUM_BITS = 62  # of a sum; the sign and one more are left
 _BITS_OF_2_52 = 0x4330000000000000  # bits of 2^52
@@ -39,8 +39,8 @@ _NARROW_FROM = 2 ** (_SUM_BITS - 51)
 
 
 class Deposit(NamedTuple):
-    """What a life leaves at a point of the grid: numbers, or arrays of them. Y = -X0,
-    with X0 the displacement at which its spring would be slack."""
+    """Six numbers that a life adds at a grid point, or arrays of them. Y = -X0, with X0
+    the displacement at which its spring would be slack."""
 
     count: Any  # 1
     force: Any  # kappa Y
@@ -51,7 +51,7 @@ class Deposit(NamedTuple):
 
 
 class Window(NamedTuple):
-    """What lives leave in a quarter of the second half: numbers, or arrays of them."""
+    """Sums over lives in a quarter of the second half, or arrays of them."""
 
     area: Any  # int F dX
     pinned: Any  # displacement while pinned
@@ -66,7 +66,7 @@ WINDOW = np.dtype([(name, np.int64) for name in Window._fields])
 
 
 class Run(NamedTuple):
-    """A segment at constant velocity, of which a drive at constant velocity is one."""
+    """Segment at constant velocity; a constant drive is a single one."""
 
     # Displacement of the slider, or time in a hold at the pace of another segment; in
     # units of the threshold law's scale.
@@ -78,7 +78,7 @@ class Run(NamedTuple):
     moves: int = 1  # 0 in a hold
     sign: float = 1.0  # direction of motion, in which stretches are positive
     ratio: float = 1.0  # pace over that of the segment before
-    goes_on: bool = False  # a stationary start goes on at its own velocity
+    goes_on: bool = False  # moves on at the velocity of its stationary start
     last: bool = True  # no segment follows
     instants: Array = np.empty(0)  # of a hold, (points,), from its beginning on
 
@@ -89,7 +89,7 @@ class Run(NamedTuple):
 
 
 class Extent(NamedTuple):
-    """How much contacts of a law may leave, and how much they typically do."""
+    """Largest and typical values that contacts add to the sums."""
 
     stiffness: float  # the largest, over k, with a margin
     stretch: float  # the largest, with a margin
@@ -115,7 +115,7 @@ class Extent(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """Powers of 2 that turn what contacts leave into integers."""
+    """Powers of 2 that turn recorded numbers into integers."""
 
     deposits: Deposit
     windows: Window
@@ -143,8 +143,8 @@ class Scales(NamedTuple):
         usual: float = 0.0,
     ) -> "Scales":
         """Find the finest scales with which no sum over all contacts can overflow.
-        Bounds are those of the longest life, or of the stretch up to which contacts are
-        `carried` to the beginning; `usual` is a typical force of such contacts. Raises
+        Bounds are set by the longest life, or by the largest stretch `carried` over
+        from an earlier segment; `usual` is the typical force of such contacts. Raises
         InputError if these scales are too coarse for the typical contact."""
         strong, x, distance = lives.stiffness, lives.stretch, run.distance
         x = max(x if run.stationary else min(x, distance + lives.birth), carried)
@@ -178,14 +178,15 @@ class Scales(NamedTuple):
 
 
 class Averaging(NamedTuple):
-    """What contacts have left since the last edge of a window, arrays (LANES,)."""
+    """Sums over the lives of each lane since its contact crossed the last edge of a
+    window, arrays (LANES,)."""
 
-    edge: Array  # the next one
-    since: Array  # where they were pinned at the last edge
-    lives: Array  # how many lives old they were there
+    edge: Array  # position of the next edge
+    since: Array  # position of the first birth after the last edge
+    lives: Array  # number of the life that began there
     work: Array  # over k, since then
     pinned: Array  # displacement while pinned, since then
-    broke: Array  # where the life at hand ends
+    broke: Array  # where the current life ends
     reborn: Array  # where the delay after it ends
 
     @classmethod
@@ -196,8 +197,8 @@ class Averaging(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Scratch for the fields of `Deposit` that lives side by side leave at the points
-    `begins` and take back at `ends`, arrays of integers."""
+    """Scratch for the fields of `Deposit` that lives side by side add at the points
+    `begins` and subtract at `ends`, arrays of integers."""
 
     begins: Array
     ends: Array
@@ -215,8 +216,8 @@ class Columns(NamedTuple):
 
 
 class Recorder(NamedTuple):
-    """Where kernels add up what contacts leave along a segment. Some lives are recorded
-    together, others one by one."""
+    """Recorder of `engine.follow` that adds up forces and averages along a segment.
+    Lives of all lanes are recorded together, or one by one."""
 
     run: Run
     start: Any  # `Fresh`, `Stationary` or `Population`: how contacts come in
@@ -226,9 +227,9 @@ class Recorder(NamedTuple):
     windows: Array  # `WINDOW`, (BATCHES, 2), sums over quarters of the second half
     lives: Array  # (1,), so far
     stop: Array  # (1,), anything but 0 ends the kernel
-    joined: bool  # a life begins where another ends; only the place of birth changes
+    joined: bool  # a life begins where another ends, and is as stiff
     alone: bool  # lives are recorded one by one
-    carries: bool  # where lives break is found for all lanes before they are recorded
+    carries: bool  # travels are found for all lanes before lives are recorded
     averaging: Averaging
     columns: Columns
     narrow: bool  # as in `Scales`
@@ -259,7 +260,7 @@ class Recorder(NamedTuple):
 
 
 class Together(Recorder):
-    """A recorder of all lanes at once, of which kernels compile nothing else."""
+    """A recorder of all lanes at once; kernels compile nothing else."""
 
     __slots__ = ()
 
@@ -276,7 +277,7 @@ def recorder_for(alone: set[bool]) -> type[Recorder]:
 
 
 def recorded_alone(c: Contacts, run: Run) -> bool:
-    """Whether lives along a segment are recorded one by one. These are lives of few
+    """True if lives along a segment are recorded one by one. These are lives of few
     contacts, of contacts born stretched or whose stiffness varies, those in a hold, and
     paths that end with the segment."""
     varies = c.aging.stiffens and c.springs.slope > 0.0
@@ -285,7 +286,8 @@ def recorded_alone(c: Contacts, run: Run) -> bool:
 
 
 def _follows_paths(c: Contacts, run: Run) -> bool:
-    """Whether lives are paths recorded on their way, or that end with the segment."""
+    """True if lives are paths that are recorded step by step, or end with the
+    segment."""
     on_the_way = c.springs.slope > 0.0 or run.batch_by_life or not run.last
     return c.aging.fluctuates and on_the_way
 
@@ -302,7 +304,7 @@ def moments(
     deposits: Array, scales: Scales, run: Run, contacts: int, drag: float
 ) -> Moments:
     """Add up deposits to averages at every grid point."""
-    # Squares cancel: 64 bits of the mantissa where there are.
+    # Squares cancel: a mantissa of 64 bits where the platform has one.
     X = np.linspace(0.0, run.distance, run.points, dtype=np.longdouble)
     units = np.array(scales.deposits, np.longdouble) * contacts
     sums = (np.cumsum(deposits[name][: run.points]) for name in Deposit._fields)
@@ -315,7 +317,7 @@ def moments(
     detached = 1.0 - pinned
     force += drag * detached
     variance = np.maximum(square + drag**2 * detached - force**2, 0.0)
-    # What rounding may hide of it, over distances so long that squares of X drown it.
+    # Variance that rounding may hide: over long distances large squares of X cancel.
     rounding = 4.0 * np.finfo(np.longdouble).eps * total.slope2 * X * X
     lost = rounding + (X > 0) / scales.deposits.square
     return Moments(force, pinned, variance + lost.astype(float))
@@ -367,7 +369,7 @@ def instant(run: Run, j: int) -> float:
 
 @routine(inline=True)
 def leave(recorder: Recorder, j: int, sign: int, stiffness: float, born: float) -> None:
-    """Add (sign 1) or take back (sign -1) a life's ramp at a grid point."""
+    """Add (sign 1) or subtract (sign -1) a life's ramp at a grid point."""
     scales, ramp, here = recorder.scales, stiffness * born, recorder.deposits[j]
     here.count += sign
     here.slope += sign * fixed(stiffness, scales.slope)
@@ -444,8 +446,8 @@ def average(recorder: Recorder, batch: int, life: Ramp, reborn: float) -> None:
 @routine(inline=True)
 def find_points(run: Run, x: Array, points: Array, count: int) -> None:
     """Find the grid points at or after the first `count` of x >= 0; `run.points` beyond
-    the last. Here and below a loop fills one array: with more, the compiler would have
-    to find out whether any of them overlap, and gives up vectors."""
+    the last. Here and below each loop fills a single array: with several, the compiler
+    cannot tell that none overlap, and does not vectorise."""
     per_step = (run.points - 1) / run.length
     for i in range(count):
         at = np.ceil(min(x[i] * per_step, float(run.points))) + 2.0**52

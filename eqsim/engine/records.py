@@ -1,5 +1,4 @@
-"""What a run leaves behind: force and pinned contacts along a drive, and what is read
-off."""
+"""Records of runs: force and pinned contacts along a drive, and quantities read off."""
 
 import itertools
 import math
@@ -27,14 +26,14 @@ class ForceRecord(Result):
     force, force_stderr : ndarray, shape (points,)
         <F>/(N k) (length), averaged over replicas, and its standard error.
     force_reliable : bool
-        False where too few contacts or replicas make the force for five standard errors
-        to mean what they say.
+        False where so few contacts or replicas make the force that it may well be off
+        by more than five standard errors.
     force_replica_std : ndarray, shape (points,), or None
         Standard deviation of F/(N k) between replicas, if there are several.
     lives : int
         Lives of contacts that were simulated.
     seed, engine_seconds, threads
-        How it was computed.
+        Seed of the random numbers, seconds that it took, and threads.
     """
 
     X: Array
@@ -68,8 +67,8 @@ class Record(ForceRecord):
     pinned, pinned_stderr : ndarray, shape (points,)
         <N_c>/N, averaged over replicas, and its standard error.
     force_replicas : ndarray, shape (replicas, points), or None
-        F/(N k) of every replica (length), if there are several, of threads, and no more
-        than 2e7 numbers.
+        F/(N k) of every replica (length), if there are several, simulated by threads,
+        and these are at most 2e7 numbers.
     """
 
     drawn: ClassVar[Drawn] = Drawn(
@@ -91,8 +90,8 @@ class Record(ForceRecord):
             if self.force_replica_std is None:
                 raise InputError("replicas: there is one ensemble only")
             raise InputError(
-                "replicas: every series is kept of threads, not of an executor, and of "
-                "2e7 numbers at most"
+                "replicas: series are kept if threads simulate them, not an executor, "
+                "and for at most 2e7 numbers"
             )
         count, points = self.force_replicas.shape
         X = getattr(self, "X_replicas", None)
@@ -107,8 +106,8 @@ class Record(ForceRecord):
 @dataclass(frozen=True, repr=False)
 class Trajectory(Record):
     """A record at constant velocity, with `averages` over the second half of the
-    distance; these are unreliable also where the law expects a transient in it, or too
-    few of the lives that make their scatter (`engine.scatter`)."""
+    distance; these are unreliable also where the law predicts a transient in it, or too
+    few of the lives that make up their scatter (`engine.scatter`)."""
 
     averages: Averages
 
@@ -120,8 +119,8 @@ class Trajectory(Record):
 
 @dataclass(frozen=True)
 class VelocityStep:
-    """What a step between two velocities of the same sign shows, as rate-and-state
-    friction names it.
+    """Response to a step between two velocities of the same sign, in the terms of
+    rate-and-state friction.
 
     Attributes
     ----------
@@ -140,7 +139,7 @@ class VelocityStep:
 
 @dataclass(frozen=True)
 class SegmentRecord:
-    """What a segment of a programme shows.
+    """Forces read off a segment of a programme.
 
     Attributes
     ----------
@@ -176,7 +175,7 @@ class ProgrammeTrajectory(Record):
     segment : ndarray of int, shape (points,)
         The segment of the programme that each instant belongs to.
     segments : tuple of SegmentRecord
-        What each of them shows.
+        Forces read off each of them.
     """
 
     drawn: ClassVar[Drawn] = Record.drawn._replace(x="t", x_label="time  t")
@@ -196,18 +195,17 @@ class Slip:
         Time when half of the drop is done, and displacement of the slider then
         (length).
     drop : float
-        By how much the force of the spring, over N k, falls from its largest to its
-        least value, or, of a slip backwards, rises from its least to its largest
-        (length).
+        Fall of the force of the spring, over N k, from its largest to its least value,
+        or for a slip backwards its rise from least to largest (length).
     duration, distance : float
-        For how long it does (time), and how far the slider moves meanwhile (length;
+        Time that the drop takes, and displacement of the slider meanwhile (length;
         negative backwards).
     replica : int
-        Which of the independent ensembles slips.
+        Number of the independent ensemble.
     begun, ended : bool
-        Whether the record shows how it begins, and how it ends. If not, it was or is
-        under way at an end of the record, and `drop`, `duration` and `distance` are
-        less than the whole, `t` and `X` those of the half that was seen.
+        True if the record shows its beginning, or its end. Otherwise it was under way
+        at that end of the record, and `drop`, `duration` and `distance` are less than
+        the whole, `t` and `X` those of the half that was seen.
     """
 
     t: float
@@ -253,10 +251,10 @@ class SliderTrajectory(ProgrammeTrajectory):
         Those of the same contacts in steps four times as long; None if nothing is
         approximate.
     avalanches : dict of ndarray, or None
-        Of a stage that pulls quasi-statically (no heat, delay, damping or mass), by
-        column: time `t` and displacement `X` (length) of the first break, how many
-        `breaks` follow from it, `drop` of the force and `distance` that the slider
-        moves until the last (length), and the `replica`.
+        Avalanches behind a stage that pulls quasi-statically (no heat, delay, damping
+        or mass), by column: time `t` and displacement `X` (length) of the first break,
+        how many `breaks` follow from it, `drop` of the force and `distance` that the
+        slider moves until the last (length), and the `replica`.
     """
 
     stage: Array
@@ -292,8 +290,8 @@ class SliderTrajectory(ProgrammeTrajectory):
         return self._mean_over_slips(lambda slips: [slip.drop for slip in slips])
 
     def _mean_over_slips(self, of: Callable[[list[Slip]], list[float]]) -> Estimate:
-        """The mean of what each replica's whole slips are worth, with the error of
-        finite steps."""
+        """Mean of the values `of` each replica's whole slips, with the error of finite
+        steps."""
         found = _mean_over(self.slips, of)
         if self.coarser_slips is None or found.value is None:
             return found
@@ -366,8 +364,8 @@ _ENOUGH_SLIPS = 5
 def _mean_over(
     slips: Sequence[Slip], of: Callable[[list[Slip]], list[float]]
 ) -> Estimate:
-    """The mean of what the slips of each replica are worth, without its first one,
-    which depends on the start, and what the record ends in."""
+    """Mean of the values `of` the slips of each replica, without its first slip, which
+    depends on the start, and one that the record ends in."""
     values: list[float] = []
     for _, whole in itertools.groupby(slips, key=lambda slip: slip.replica):
         values += of([slip for slip in whole if slip.ended][1:])
@@ -452,7 +450,7 @@ def shown_by(
         step = None
         if stepped:
             step = velocity_step(along, forces, errors, (peak, at), ratio)
-        end, peak, at = (replace(one, reliable=reliable) for one in (end, peak, at))
+        end, peak, at = (replace(e, reliable=reliable) for e in (end, peak, at))
         t, X = float(grid.t[here[-1]]), float(grid.X[here[-1]])
         found.append(SegmentRecord(segment.velocity, t, X, end, peak, at, step))
         before = segment.velocity
@@ -462,12 +460,11 @@ def shown_by(
 def extreme(
     x: Array, force: Array, stderr: Array, direction: float = 0
 ) -> tuple[Estimate, Estimate]:
-    """The force that differs most from the first one, if a `direction` (1 or -1) is
-    given that way, and the `x` where it is; arrays (points,). The largest of many
-    values with errors is too large. The vertex of a parabola through all values that
-    cannot be told from it is not, and how far the two differ is part of the error. A
-    vertex beyond these values is none of the record: the largest value and its place
-    are told then."""
+    """Estimate the force that differs most from the first one, in a `direction` (1 or
+    -1) if given, and the `x` where it is; arrays (points,). The largest of many values
+    with errors is biased. So the vertex of a parabola is fitted to all values within
+    the error of the largest; the difference of the two is part of the error. If the
+    vertex lies beyond these values, the largest value is returned."""
     change = direction * (force - force[0]) if direction else np.abs(force - force[0])
     top = int(np.argmax(change))
     near = np.abs(force - force[top]) <= 2.0 * stderr[top]
@@ -499,8 +496,8 @@ def velocity_step(
     extremum: tuple[Estimate, Estimate],
     ratio: float,
 ) -> VelocityStep:
-    """What a step of velocity by a factor `ratio` shows: force with errors against
-    displacement since, arrays (points,), and its `extreme`."""
+    """Read off a step of velocity by a factor `ratio`: from the force with errors
+    against displacement since, arrays (points,), and its `extreme`."""
     peak, at = extremum
     n, log_ratio, top = force.size, np.log(ratio), known(peak)
 

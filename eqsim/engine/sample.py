@@ -1,5 +1,5 @@
-"""Lives from given uniforms: for steady estimates, predictions and what the law says of
-errors."""
+"""Lives from given uniforms, for steady estimates, predictions and errors from the
+law."""
 
 import functools
 import math
@@ -48,8 +48,8 @@ class Sample(NamedTuple):
 
 
 class Source(NamedTuple):
-    """Where the random numbers of paths come from, contacts from `first` on; and the
-    accuracy of their steps."""
+    """Random numbers of paths, those of contacts from `first` on, and the accuracy
+    `step` of their steps."""
 
     key: Key
     first: int
@@ -58,8 +58,8 @@ class Source(NamedTuple):
 
 def typical_lives(c: Contacts) -> Sample:
     """64 x 64 lives, at mid-points of equal shares of thresholds and of clocks, and
-    births in between: a rough picture that costs nothing; of 16 x 16 where thresholds
-    fluctuate and lives cost something."""
+    births in between: rough, but fast; 16 x 16 where thresholds fluctuate and lives
+    take long."""
     return unnamed_lives(c, *typical_uniforms(c))
 
 
@@ -95,8 +95,8 @@ def rough_stretch(ensemble: Ensemble, velocity: float) -> float | None:
 
 
 def unnamed_lives(c: Contacts, u: Array, v: Array) -> Sample:
-    """`lives` of no contact in particular: where thresholds fluctuate, their paths are
-    the same whatever the seed."""
+    """`lives` with a fixed key: paths of fluctuating thresholds do not depend on a
+    seed."""
     return lives(c, Source(key_of(0, 0), 0, langevin.STEP), u, v)
 
 

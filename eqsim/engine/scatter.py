@@ -1,9 +1,9 @@
-"""What the law of the contacts says of the scatter of their forces: error bars that few
-contacts cannot supply.
+"""Scatter of forces from the law of the contacts: error bars that few contacts cannot
+supply.
 
-The sample variance of few contacts, or of a rare kind among many, knows nothing of what
-the sample did not meet, and is smallest just where the mean is too low. But the law is
-known, and with it the moments of the force f of a contact at X. From lives, each with a
+The sample variance of few contacts, or of a rare kind among many, lacks what the sample
+did not meet, and is smallest just where the mean is too low. But the law is known, and
+with it the moments of the force f of a contact at X. From lives, each with a
 probability, from the law (`births`), with the work they do over k, int_0^{x_b} (k_i/k)
 x dx, that is with an average k_i/k where it follows an aging threshold:
 
@@ -31,16 +31,15 @@ from eqsim.engine.sample import spread, unnamed_lives
 from eqsim.numerics.tables import Array
 
 _LATTICE = 1024  # cells
-_CELLS_IN_A_LIFE = (
-    32  # cells of the finer lattice in a life, as a snapshot finds it in the mean
-)
+# cells of the finer lattice in the mean life that a snapshot finds
+_CELLS_IN_A_LIFE = 32
 _FORCE_POWERS = 7  # of forces: 0 to 6
 _LOG_RANKS = -16.0, 45.0
 _PATHS = 2**12  # of thresholds that fluctuate
-_LAW_TOLERANCE = 0.05  # of the law's variance: lattice, lives
-# probability of more than five standard errors of a force that can be trusted
+_LAW_TOLERANCE = 0.05  # relative error of the law's variance, by lattice and lives
+# a force is reliable if it is off by five standard errors with a smaller probability
 RARE = 1e-4
-ENOUGH = 100  # lives that make the variance, for their mean over its error to be normal
+ENOUGH = 100  # least effective number of lives for errors of a mean to be normal
 
 
 class Births(NamedTuple):
@@ -88,21 +87,18 @@ def _uniforms(s: Array) -> tuple[Array, Array]:
 
 
 class Scatter(NamedTuple):
-    """Moments of the force of a contact at the nodes `X`, in the units of `Contacts`:
-    mean, pinned fraction, variance, fourth and sixth central moment; `one`, the mean
-    square force of a pinned contact, or of a detached one if its drag is larger, and
-    `most`, what it can be at most with k_i = k; and how many `lives` drawn at random
-    these are as good as."""
+    """Moments of the force of a contact at the nodes `X`, in the units of
+    `Contacts`."""
 
     X: Array
     mean: Array
-    pinned: Array
+    pinned: Array  # fraction
     variance: Array
-    fourth: Array
-    sixth: Array
-    one: Array
-    most: Array
-    lives: float
+    fourth: Array  # central moment
+    sixth: Array  # central moment
+    one: Array  # mean square force if pinned, or if detached where drag makes it larger
+    most: Array  # largest square of the force with k_i = k
+    lives: float  # number of random lives that would be as accurate
 
     def at(self, X: Array) -> "Scatter":
         """The same at other displacements."""
@@ -112,7 +108,8 @@ class Scatter(NamedTuple):
 
 
 def scatter(c: Contacts, born: Births, distance: float | None, drag: float) -> Scatter:
-    """From a fresh start over a distance, or (None) in the stationary state."""
+    """Moments of forces from a fresh start over a distance, or (None) in the stationary
+    state."""
     if distance is None:
         X, moments = np.zeros(1), _stationary(c, born)[:, None]
     else:
@@ -162,9 +159,9 @@ def _stationary(c: Contacts, born: Births) -> Array:
 
 
 def _births_after(renewals: Array) -> Array:
-    """Births in each cell, shape (n,), from one in the first and the share of it that
-    is born again in each: what `scipy.signal.lfilter` finds, whose import takes as long
-    as 500 of these."""
+    """Births in each cell, shape (n,), from one in the first; `renewals` is the share
+    of it that is born again in each cell. `scipy.signal.lfilter` gives the same, but
+    its import takes as long as 500 calls."""
     first, later = renewals[0], -renewals[1:] / (1.0 - renewals[0])
     found, pending = np.empty(renewals.size), np.zeros(renewals.size)
     pending[0] = 1.0 / (1.0 - first)
@@ -208,9 +205,10 @@ def _fresh(c: Contacts, born: Births, step: float) -> tuple[Array, Array]:
 
 
 def pinned_variance(pinned: Array, contacts: int, delayed: bool) -> Array:
-    """Of the pinned fraction of `contacts` contacts, any shape. A sample does not tell
-    what fewer than about two of them do (Agresti and Coull, 1998): without these two an
-    error bar would vanish wherever none happens to be pinned, or all are."""
+    """Variance of the pinned fraction of `contacts` contacts, any shape. A sample does
+    not tell what fewer than about two of them do (Agresti and Coull, 1998): without
+    these two an error bar would vanish wherever none happens to be pinned, or all
+    are."""
     unseen = (2.0 / contacts) ** 2 if delayed else 0.0
     return pinned * (1.0 - pinned) / contacts + unseen
 
@@ -241,10 +239,10 @@ def known_variance(
             size = np.nan_to_num(contacts * doubt, nan=0.0, posinf=math.inf)
         one = np.minimum(size, 4.0 * np.minimum(level.one, law.most))
         unmet = np.nan_to_num(one / (1.0 + contacts * law.variance / one))
-        own = np.zeros_like(sample)
+        sampled = np.zeros_like(sample)
         if contacts > 1:
-            own = sample * contacts / (contacts - 1)
-        mixed = share * law.variance + (1.0 - share) * own
+            sampled = sample * contacts / (contacts - 1)
+        mixed = share * law.variance + (1.0 - share) * sampled
         variance = (mixed + unmet / contacts) / contacts
         rare = law.sixth / contacts**5 / (25.0 * variance) ** 3
         rare = np.where(law.sixth > 0, rare, 0.0)

@@ -1,13 +1,13 @@
-"""Contacts along a segment at constant velocity, and what they leave there on a grid
-and in averages.
+"""Follow contacts along a segment at constant velocity; record forces and averages.
 
-A contact comes in as a start or the segment before left it, and goes on with what its
-exponential clock has left; the lives that begin in the segment are drawn and carried by
-`engine.follow`, in a mirror where the slider moves back; and where another segment
-follows, its state at the end is handed on. In a hold stretches stay what they are, and
-time is displacement at the pace of another segment. Thresholds that fluctuate are
-followed step by step, with a step that ends where the segment does. Each segment has an
-origin of its own, so that forces do not cancel over long distances.
+A contact begins in the state that the start or the segment before gave it, with the
+rest of its exponential clock. Lives that begin in the segment are drawn by
+`engine.follow`. If another segment follows, the state at the end is handed on in a
+`Population`. Stretches count in the direction of motion. In a hold they are constant,
+and time is measured as displacement at the pace of another segment. Thresholds that
+fluctuate are followed step by step, up to the end of the segment. Positions are
+relative to the beginning of the segment, so that forces do not cancel over long
+distances.
 """
 
 import math
@@ -53,27 +53,27 @@ from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.tables import Array
 
-_RELAXED = 100.0  # relaxations after which a threshold at rest has seen all there is
-_MOST_CYCLES = 32000  # tried for a snapshot; one in e^32 contacts finds none
+_RELAXED = 100.0  # relaxations at rest, after which the mean hazard is constant
+_MOST_CYCLES = 32000  # tried for a snapshot; all fail for one contact in e^32
 
 
 class Population(NamedTuple):
     """Contacts between two segments, arrays (contacts,). Times are displacements at the
-    pace of the segment before. All but `wait` is of pinned contacts; where thresholds
-    fluctuate, `threshold` is the one now."""
+    pace of the segment before. All but `wait` and `lives` is of pinned contacts; where
+    thresholds fluctuate, `threshold` is the current one."""
 
     pinned: Array
     wait: Array  # time until a detached contact is pinned
     threshold: Array  # at birth
     stiffness: Array  # at birth
     stretch: Array  # in the direction X
-    clock: Array  # what the exponential clock has left
+    clock: Array  # rest of the exponential clock
     age: Array  # time since birth
-    still: Array  # how long a contact of a stationary start stays pinned in motion
-    delay: Array  # after the break
-    lives: Array  # ROUNDS times how often lives were drawn
-    life: Array  # of a fluctuating threshold: which life this is
-    draw: Array  # and which of its random numbers comes next
+    still: Array  # travel left until a contact of a stationary start breaks
+    delay: Array  # between its break and its next birth
+    lives: Array  # number of lives drawn, a multiple of ROUNDS
+    life: Array  # number of the life, of a fluctuating threshold
+    draw: Array  # number of its next random draw
     first: int  # number of the first contact
 
     @classmethod
@@ -84,16 +84,16 @@ class Population(NamedTuple):
 
 
 class Span(NamedTuple):
-    """The part of a life that a segment sees."""
+    """Part of a life within a segment."""
 
     stiffness: float  # at birth
     stretch: float  # at `begins`, in the direction of motion
     age: float  # at `begins`
-    begins: float
-    travel: float  # from there on, or time in a hold
+    begins: float  # position in the segment
+    travel: float  # from there on; in a hold, time
 
 
-# ---- how contacts come in ----
+# ---- contacts at the beginning of a segment ----
 
 
 @admit.register(Recorder)
@@ -131,9 +131,9 @@ def _move_lane(recorder: Recorder, source: int, target: int) -> None:
 def enter(
     start: Any, c: Contacts, recorder: Recorder, key: Key, contact: int
 ) -> tuple[float, int]:
-    """Take a contact through what it comes in with, by the type of the start. Returns
-    where its next life begins, infinity if that is in a later segment, and how often
-    lives of it were drawn."""
+    """Record the life or delay that a contact begins the segment in, by the type of the
+    start. Returns the position of its next birth, infinity if that is in a later
+    segment, and how often lives were drawn for it."""
     return 0.0, 0
 
 
@@ -148,8 +148,8 @@ def _enter_stationary(
 def found_at_start(
     law: Any, c: Contacts, start: Stationary, recorder: Recorder, key: Key, contact: int
 ) -> float:
-    """Record what a snapshot of the stationary state finds, by the law of aging.
-    Returns where the contact is pinned again."""
+    """Record the life or delay that a snapshot of the stationary state finds, by the
+    law of aging. Returns the position of the next birth."""
     batch, seen = contact % BATCHES, snapshot(c.newborn, c, start, key, contact)
     if not seen.pinned:
         average(recorder, batch, Ramp(0.0, 0.0, 0.0, 0.0), seen.wait)
@@ -168,10 +168,10 @@ def found_at_start(
 def _path_at_start(
     law: Any, c: Contacts, start: Stationary, recorder: Recorder, key: Key, contact: int
 ) -> float:
-    """Try cycles of life and delay until one is under way at X = 0. Each has begun at a
-    uniform time before X = 0, within the longest cycle, so that a cycle is found in
-    proportion to its length (derived). An exponential delay counts as a fixed one of
-    the same mean: what is left of it is exponential again."""
+    """Draw cycles of life and delay until one is under way at X = 0. Each begins at a
+    uniform distance before X = 0, within the longest cycle, so that a cycle is accepted
+    in proportion to its length (derived). An exponential delay is treated as a fixed
+    one of the same mean, since the rest of it is exponential again."""
     batch, delay = contact % BATCHES, c.delay.mean
     born, broke, reborn = 0.0, 0.0, 0.0
     for attempt in range(_MOST_CYCLES):
@@ -211,8 +211,8 @@ def _enter_between(
 def go_on(
     law: Any, c: Contacts, recorder: Recorder, key: Key, p: Population, i: int
 ) -> float:
-    """Take a pinned contact through the segment, by the law of aging. Returns where it
-    breaks, infinity if it does not; then its state at the end is noted."""
+    """Follow a pinned contact through the segment, by the law of aging. Returns the
+    position where it breaks, or infinity, and then stores its state at the end."""
     run, stiffness = recorder.run, p.stiffness[i]
     y, age = run.sign * p.stretch[i], p.age[i] * run.ratio
     contact = Held(p.threshold[i], stiffness, y, age)
@@ -245,7 +245,7 @@ def _path_goes_on(
     return broke
 
 
-# ---- what lives leave there ----
+# ---- recording lives ----
 
 
 @routine(inline=True)
@@ -253,8 +253,9 @@ def note_together(
     recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
 ) -> bool:
     """Record the lives of all lanes at once. A contact's lives come in order of
-    position, so what they leave in averages is added up on the way, and noted when a
-    life crosses the edge of a window."""
+    position, so their averages are summed in its lane, and added to a window when a
+    life crosses its edge. Returns whether any contact has reached the end of the
+    segment."""
     averaging, position, count = recorder.averaging, lanes.position, padded(active)
     broke, reborn, edge = averaging.broke, averaging.reborn, averaging.edge
     work, pinned = averaging.work, averaging.pinned
@@ -293,8 +294,8 @@ def drawn_life(lanes: Lanes, lives: Lives, r: int, i: int) -> Path:
 def cross_edges(
     recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
 ) -> bool:
-    """Note what contacts whose lives cross the edge of a window have left in it. Notes
-    these lives, too. Returns whether any has come to the end of the segment."""
+    """Add the sums of contacts whose lives cross the edge of a window to it, and these
+    lives, too. Returns whether any contact has reached the end of the segment."""
     run, averaging, scales = recorder.run, recorder.averaging, recorder.window_scales
     edge, broke, reborn = averaging.edge, averaging.broke, averaging.reborn
     position, ended = lanes.position, False
@@ -306,7 +307,7 @@ def cross_edges(
         if run.averages and edge[i] > 0.5 * run.length:
             window = recorder.windows[batch, 0 if edge[i] < run.length else 1]
             elapsed = position[i] - averaging.since[i]
-            # To the last bit: without delay a contact is pinned all the time.
+            # Always pinned without delay: the same number, not a rounded sum.
             pinned = elapsed if c.delay.mean == 0.0 else averaging.pinned[i] - x
             work = averaging.work[i] - 0.5 * stiffness * x * x
             window.area += fixed(work, scales.area)
@@ -381,9 +382,10 @@ def batch_of(run: Run, life: Path) -> Any:
 def leave_life(
     law: Any, c: Contacts, recorder: Recorder, life: Path, born: float, travel: float
 ) -> tuple[float, float]:
-    """Record a life that is born in the segment, by the law of aging. Contacts are
-    carried over `travel`, but for paths and in a hold. Returns the stiffness whose work
-    is yet to be averaged, and where the life ends."""
+    """Record a life that begins in the segment, by the law of aging. It ends after
+    `travel`, except for paths and in a hold, where its end is found here. Returns the
+    stiffness for `average`, 0 if its work is recorded already, and where the life
+    ends."""
     run, stiffness = recorder.run, kappa(c.springs, life.xi)
     if run.moves == 0:
         contact, longest = Held(life.xi, stiffness, life.x, 0.0), run.length - born
@@ -407,8 +409,8 @@ def _leave_drawn_path(
 def time_in_hold(
     start: Any, c: Contacts, contact: Held, longest: float, clock: float
 ) -> float:
-    """How long a contact is pinned in a hold, by the type of the start. Infinite if
-    that is longer than the hold lasts. Only programmes have holds."""
+    """Time for which a contact stays pinned in a hold, infinity if it outlasts the
+    hold. By the type of the start: only programmes, with a `Population`, have holds."""
     return math.inf
 
 
@@ -422,7 +424,7 @@ def _time_in_hold(
 @routine
 def leave_span(c: Contacts, recorder: Recorder, batch: int, span: Span) -> float:
     """Record the force of a contact that is pinned for a span of a segment. Returns the
-    stiffness whose work is yet to be averaged, 0 where that is done."""
+    stiffness for `average`, 0 if its work is recorded already."""
     run, begins, stiffness = recorder.run, span.begins, span.stiffness
     ends = begins + span.travel
     if not stiffness_varies(c.aging, c.springs):
@@ -449,9 +451,9 @@ def leave_span(c: Contacts, recorder: Recorder, batch: int, span: Span) -> float
 def leave_path(
     laws: Pinned, recorder: Recorder, batch: int, path: Path, begins: float
 ) -> tuple[float, Path]:
-    """Record the path of a contact whose threshold fluctuates, from `begins` on. It may
-    be on its way, stretched at the beginning. Returns where it breaks, or infinity if
-    that is in a later segment, and its path there."""
+    """Record the path of a contact whose threshold fluctuates, from `begins` on, where
+    it may be stretched already. Returns where it breaks, infinity if that is in a later
+    segment, and the path there."""
     run = recorder.run
     if laws.springs.slope == 0.0:
         origin = begins - path.x if run.moves != 0 else -path.x
@@ -492,10 +494,10 @@ def leave_stiffening_path(
 ) -> tuple[float, Path]:
     """Record a path in motion, of a contact whose stiffness follows its threshold.
     Steps end at grid points and at edges of windows of averages. The path is not
-    followed beyond the last one."""
+    followed beyond the last of these."""
     run = recorder.run
     step, quarters, y = run.length / (run.points - 1), 0.25 * run.length, path.x
-    s, broken = 0.0, False  # travel so far, which the stretch may not resolve
+    s, broken = 0.0, False  # travel so far, which y + s may round away
     j = point_at(run, begins)
     window = max(2, math.floor(begins / quarters) + 1)  # ends at window * quarters
     while not broken:
@@ -524,7 +526,7 @@ def leave_stiffening_path(
     return ends, path
 
 
-# ---- how they are handed on ----
+# ---- handing contacts on to the next segment ----
 
 
 @by_law
@@ -537,8 +539,8 @@ def hand_on(
     broke: float,
     delay: float,
 ) -> None:
-    """Note the state of a contact after its last birth in a segment, for the next one.
-    Only a `Population` takes it."""
+    """Store the state of a contact after its last birth in a segment for the next one,
+    if the start is a `Population`."""
 
 
 @hand_on.register(Population)
@@ -566,7 +568,7 @@ def _hand_on(
 def keep_life(
     law: Any, c: Contacts, run: Run, p: Population, life: Path, born: float
 ) -> None:
-    """Note the state of a pinned contact at the end of a segment, by law of aging."""
+    """Store a pinned contact at the end of a segment, by the law of aging."""
     i, age = life.contact - p.first, run.length - born
     stiffness = kappa(c.springs, life.xi)
     contact = Held(life.xi, stiffness, life.x, 0.0)
@@ -581,12 +583,12 @@ def keep_life(
 def _keep_no_life(
     law: Langevin, c: Contacts, run: Run, p: Population, life: Path, born: float
 ) -> None:
-    pass  # its path is kept where it ends
+    pass  # `keep_path` has stored it
 
 
 @by_law
 def keep_path(start: Any, run: Run, path: Path) -> None:
-    """Note where a path is at the end of a segment, by the type of the start."""
+    """Store a path at the end of a segment, by the type of the start."""
 
 
 @keep_path.register(Population)
@@ -606,7 +608,7 @@ def _keep_path(start: Population, run: Run, path: Path) -> None:
 def begin_stationary(
     c: Contacts, stationary: Stationary, key: Key, p: Population
 ) -> None:
-    """Fill a population as a snapshot of the steady state of `c` finds its contacts."""
+    """Fill a population from a snapshot of the steady state of `c`."""
     for i in range(p.wait.size):
         contact = p.first + i
         seen = snapshot(c.newborn, c, stationary, key, contact)
@@ -626,12 +628,12 @@ def begin_stationary(
             p.delay[i] = delay_of_the_first(c, key, contact)
 
 
-# ---- how long lives last ----
+# ---- durations of lives at rest ----
 
 
 def waits_at_rest(c: Contacts, most: float) -> Array:
-    """Durations of lives at rest, up to `most`, at mid-points of equal shares. 64 x 64
-    shares of thresholds and clocks, or roughly 16 x 16 where thresholds fluctuate."""
+    """Durations of lives at rest, cut off at `most`, for `typical_uniforms` of
+    thresholds and clocks."""
     u, v = typical_uniforms(c)
     waits = np.empty(u.size)
     fill_waits(c, u, v, spread(u.size), most, waits)
@@ -642,7 +644,7 @@ def waits_at_rest(c: Contacts, most: float) -> Array:
 def fill_waits(
     c: Contacts, u: Array, v: Array, birth: Array, most: float, waits: Array
 ) -> None:
-    """Fill the durations of `waits_at_rest`; longer ones may be infinite."""
+    """Fill the durations of `waits_at_rest`; those beyond `most` may be infinite."""
     for i in range(u.size):
         xi, y = newborn_draw(c.newborn, c.thresholds, u[i], birth[i])
         contact = Held(xi, kappa(c.springs, xi), y, 0.0)
@@ -653,8 +655,8 @@ def fill_waits(
 def wait_at_rest(
     law: Any, c: Contacts, contact: Held, clock: float, most: float, i: int
 ) -> float:
-    """Duration of a life at rest, by the law of aging; path i if thresholds fluctuate.
-    Infinite, or anything longer, if it is more than `most`."""
+    """Duration of a life at rest, by the law of aging; path number `i` if thresholds
+    fluctuate. Beyond `most` any longer time, or infinity."""
     return spend(law, c, contact, 0, most, clock)[0]
 
 
@@ -669,5 +671,5 @@ def _path_at_rest(
     path = Path(key, i, first, first, contact.threshold, 0.0, clock)
     longest = min(_RELAXED / law.alpha, most)
     broke, path, elapsed, _ = langevin.follow(laws, path, longest, STEP)
-    # By then the hazard grows in proportion to time.
+    # From here on the hazard grows in proportion to time.
     return elapsed if broke else elapsed * (clock / (clock - path.left))

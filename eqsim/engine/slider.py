@@ -212,9 +212,8 @@ class State(NamedTuple):
 
 
 class Behind(NamedTuple):
-    """What the slider would be ahead in `distance` and `velocity` had no estimate
-    missed F. To be made up for within the time `over` (derived, of first order in the
-    missed F)."""
+    """Lag of the slider in `distance` and `velocity`, because estimates missed F. It is
+    made up for within the time `over` (derived, of first order in the missed F)."""
 
     distance: float = 0.0
     velocity: float = 0.0
@@ -310,7 +309,7 @@ class Slider:
         parts = np.split(self.population, ends[1:-1] * _BLOCK)
         begins = first + ends[:-1] * _BLOCK
         sums_of = np.split(records, ends[1:-1])
-        # What each thread advances.
+        # Arguments of `advance` for each thread.
         self.shares = list(zip(begins.tolist(), parts, sums_of, strict=True))
         self.least_slip = least_slip(law) / unit
         self.longest = longer * math.sqrt(stage.tolerance) * width_of(law) / unit
@@ -330,7 +329,7 @@ class Slider:
         if speed and stage.preload is None:
             stretch = (sums.force + self._damping(sums) * speed) / self.pull.stiffness
         self.state = State(0.0, 0.0, stretch, speed, sums)
-        # Whether the slider is always in balance, or slips at an instant, and only ever
+        # True if the slider is always in balance or slips at an instant, and only moves
         # forwards, so that one break after the other can be followed.
         self.quasi_static = (
             not self.waits

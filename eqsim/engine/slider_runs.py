@@ -27,8 +27,8 @@ from eqsim.numerics.threads import ThreadPool
 
 _ENOUGH_REPLICAS = 8  # whose scatter tells the error of their mean
 _COARSER = 4  # length of steps of the second run; it records one instant of so many
-_TOLD_AFTER_STEPS = 64  # when progress is told
-_TOLD_AFTER_LIVES = 1000.0  # in a step, when progress is told at once
+_TOLD_AFTER_STEPS = 64  # between calls of `progress`
+_TOLD_AFTER_LIVES = 1000.0  # of one step, after which `progress` is called at once
 _SLIP_NOISE = 6.0  # standard deviations of the force above which a fall of it is a slip
 
 # A slider at an instant of the grid; forces and energies are per contact. `friction` is
@@ -49,7 +49,7 @@ class _PulledRun(NamedTuple):
 
 
 def _note(slider: Slider, row: np.void) -> None:
-    """Note the state of a slider."""
+    """Record the state of a slider in a row of its course."""
     now, pull = slider.state, slider.pull
     spring = 0.5 * pull.stiffness * (now.Y - now.X) ** 2
     row["X"] = now.X

@@ -1,5 +1,4 @@
-"""The stationary population: what a snapshot of the steady state finds, as tables to
-draw from.
+"""Draw contacts as a snapshot of the steady state finds them, from tables.
 
 A snapshot sees contacts in proportion to their time, not to their births (length bias,
 derived): pinned contacts have thresholds of density P_c(xi) m(xi)/C, where m(xi) =
@@ -8,8 +7,9 @@ P(x_b > x|xi).
 
 S decreases, so x S(x) <= int_0^x S dy <= m and S is below the envelope g(x) = min(1,
 m/x). A stretch x proposed from g is kept with probability S(x)/g(x): that is, if a life
-whose clock shows -ln(U g(x)), U uniform, breaks beyond x. Given that, this clock is
-Lambda(x) + Exp(1), so the same clock also says where the contact found at x will break.
+with the exponential clock -ln(U g(x)), U uniform, breaks beyond x. Given that, this
+clock is Lambda(x) + Exp(1), so the same clock also says where the contact found at x
+will break.
 """
 
 import itertools
@@ -36,19 +36,19 @@ from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.streams import Key, uniforms
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, search
 
-_EXTREME_RANK = 45.0  # -ln of no 63-bit uniform exceeds it
-_EXTREME_PRODUCT = 129.0  # rank of the sum of -ln of two uniforms of 2^-96
-_EXTREME_CLOCK = 110.0  # no clock of a contact found exceeds it
+_EXTREME_RANK = 45.0  # bound on -ln of a 63-bit uniform
+_EXTREME_PRODUCT = 129.0  # rank of the product of two uniforms of 2^-96
+_EXTREME_CLOCK = 110.0  # bound on the clock of a contact in a snapshot
 _ENVELOPE_MARGIN = 1.0 + 1e-4  # the envelope may be too high, never too low
 
 
 class Stationary(NamedTuple):
     """Tables of the stationary state, in the units of `Contacts`. `pinned` is the
-    pinned fraction. A smooth law has `biased`, e of a threshold found against -ln of a
-    uniform, and `life`, m against e; a discrete one has `share`, the cumulative share
-    of its thresholds, and `step_life`, m of each. Contacts of `langevin` thresholds and
-    contacts born stretched, whose lives are found by trying, only have `longest`: no
-    life is longer."""
+    pinned fraction. A smooth law has `biased`, the rank e of a threshold in a snapshot
+    against -ln of a uniform, and `life`, m against e; a discrete one has `share`, the
+    cumulative share of its thresholds in a snapshot, and `step_life`, m of each.
+    Contacts of `langevin` thresholds and contacts born stretched, whose lives are found
+    by trying, only have `longest`: no life is longer."""
 
     pinned: float = 1.0
     longest: float = math.inf
@@ -59,14 +59,13 @@ class Stationary(NamedTuple):
 
 
 class Fresh(NamedTuple):
-    """In the place of `Stationary` at a fresh start, so that kernels leave out what
-    finds contacts."""
+    """Fresh start: a type of its own, so that its kernels compile no snapshots."""
 
 
 def stationary(c: Contacts) -> Stationary:
     """The stationary state of contacts; tables are good to 1e-6 relative. Raises
-    InputError where contacts found by trying that live 1000 times longer than the mean
-    still matter, too rare to be found."""
+    InputError where contacts that live 1000 times longer than the mean still matter, if
+    they are found by trial, for which they are too rare."""
     if c.aging.fluctuates or isinstance(c.newborn, Stretched):
         return Stationary(longest=_longest(c))
     if c.thresholds.steps.size:
@@ -107,8 +106,7 @@ def _octaves(power: Any) -> Array:
 
 
 def _longest(c: Contacts) -> float:
-    """A life so long that a share of 1e-5 of all time lies in what others have beyond
-    it."""
+    """Length of life beyond which longer lives spend a share of 1e-5 of all time."""
     proposal = Proposal.of(c)
     p, q = np.random.default_rng(0).random((2, 2**15))
     (u, weight), (v, clock_weight) = proposal.threshold.draw(p), proposal.clock.draw(q)
@@ -159,8 +157,8 @@ def mean_lives(c: Contacts, xi: Array) -> Array:
 
 
 def extremes(c: Contacts) -> tuple[float, float]:
-    """A threshold that sets a stiffness and a stretch at breaking that no contact
-    exceeds, with a margin of a tenth."""
+    """Bounds of the threshold that sets a stiffness, and of the stretch at breaking,
+    with a margin of a tenth."""
     most = _EXTREME_PRODUCT if c.thresholds.exponentials == 2 else _EXTREME_RANK
     ranks = np.linspace(0.01, most, 2000)
     xi, stretch = np.empty((2, ranks.size))
@@ -174,8 +172,8 @@ def extremes(c: Contacts) -> tuple[float, float]:
 
 @kernel
 def whole_lives(c: Contacts, xi: Array, ends: Array, hazard: Array) -> None:
-    """Fill `ends` with where contacts of thresholds `xi` at birth break mechanically,
-    `hazard` with their integrated hazards until then."""
+    """Fill `ends` with the stretches at which contacts of thresholds `xi` at birth
+    break mechanically, `hazard` with their integrated hazards until then."""
     for i in range(xi.size):
         ends[i], hazard[i] = whole_hazard(c.aging, c, xi[i])
 
@@ -189,17 +187,17 @@ def thresholds(law: Thresholds, u: Array, xi: Array) -> None:
 
 @kernel
 def stretches(c: Contacts, xi: Array, clock: Array, stretch: Array) -> None:
-    """Fill `stretch` with where contacts of thresholds `xi` break whose clocks show
+    """Fill `stretch` at breaking, for thresholds `xi` and exponential clocks
     `clock`."""
     for i in range(xi.size):
         stretch[i] = life(c.aging, c, xi[i], clock[i])
 
 
 class Seen(NamedTuple):
-    """A contact of the stationary state: whether it is pinned, and if not for how long
-    it waits; if it is, threshold and stretch at birth, its travel until now, `age`,
-    which may be less than the resolution of a stretch, and until it breaks, `length`,
-    and its exponential clock."""
+    """A contact of the stationary state. If it is detached, `wait` is the rest of its
+    delay. If it is `pinned`, `threshold` and `stretch` are those at birth, `age` its
+    travel until now, which may be less than the resolution of a stretch, `length` its
+    travel from birth to breaking, and `clock` its exponential clock."""
 
     pinned: bool
     wait: float
@@ -212,13 +210,13 @@ class Seen(NamedTuple):
 
 @routine(inline=True)
 def seen_detached(wait: float) -> Seen:
-    """A contact that is pinned after a wait."""
+    """A detached contact that is pinned after a wait."""
     return Seen(False, wait, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @by_law
 def snapshot(law: Any, c: Contacts, s: Stationary, key: Key, contact: int) -> Seen:
-    """What a snapshot of the stationary state finds, by the law of births."""
+    """Draw a contact of the stationary state, by the law of births."""
     u_state, u_rest = uniforms(key, contact, 0, 0)
     if u_state >= s.pinned:
         return seen_detached(residual_delay_draw(c.delay, u_rest))
@@ -247,7 +245,7 @@ def _try_cycles(
             if c.delay.random > 0.0:
                 rest = residual_delay_draw(c.delay, u_rest)
             return seen_detached(rest)
-    return seen_detached(0.0)  # one in e^32
+    return seen_detached(0.0)  # reached by one contact in e^32
 
 
 @routine(inline=True)

@@ -4,16 +4,16 @@ renewal processes, so averages over whole lives are averages over time (derived)
     friction = E[int_y^{x_b} (k_i/k) x dx] / (E[l] + v<tau>) + (eta v/k)(1 - pinned)
     pinned   = E[l] / (E[l] + v<tau>)                (eq:ncnf, for any law of the delay)
     travel   = E[l] = C[P, R],    break_stretch = E[x_b] = travel + E[y]                            (Gamma0)
-    force_variance = E[int_y^{x_b} (k_i x/k)^2 dx] / (E[l] + v<tau>) + (eta v/k)^2 (1 -
-    pinned) - friction^2
+    force_variance = E[int_y^{x_b} (k_i x/k)^2 dx] / (E[l] + v<tau>)
+                     + (eta v/k)^2 (1 - pinned) - friction^2
 
 with y the stretch at birth and l = x_b - y the travel.
 
 Lives are sampled by randomised quasi-Monte Carlo (`engine.randomise`): 32 independently
 scrambled Sobol sequences, whose scatter is the error, from densities made for these
-averages (`engine.proposal`); `engine.errorbars` knows what the scatter does not show.
-The path of a `langevin` threshold is plain Monte Carlo on top of it, with steps so
-short that their error is at most a third of the one asked for.
+averages (`engine.proposal`); `engine.errorbars` adds the errors that the scatter does
+not show. The path of a `langevin` threshold is plain Monte Carlo on top of it, with
+steps so short that their error is at most a third of the one asked for.
 
 Annealed contacts that age are born with thresholds whose age is set by their own mean
 pinned time C/v. Each randomisation finds its own fixed point C = E[x_b; C], to first
@@ -53,9 +53,9 @@ _DECAY = 0.75
 # linearised within its square
 _NUDGE = 1e-2
 _SETTLED_ERROR = 3e-5  # relative error of the C that a trajectory's births are given
-# a single life that makes up more of a sum than this has siblings that were not seen
+# where a single life makes up more of a sum, others like it were probably not met
 _DOMINANT_SHARE = 0.02
-# a variance with a greater relative error has them, too: squares have heavier tails
+# likewise where a variance has a greater relative error: squares have heavier tails
 # than the force
 _BROAD = 0.05
 
@@ -67,18 +67,17 @@ class Steady(Averages):
     Attributes
     ----------
     friction, pinned, break_stretch, travel, birth_stretch, force_variance : Estimate
-        As in `Averages`; no `force_variance` where the stiffness of a contact follows
-        its aging threshold, and an infinite one where there is none
+        Estimates as in `Averages`. `force_variance` has no value where the stiffness of
+        a contact follows its aging threshold, and is infinite where it diverges
         (`Ensemble.divergence`).
     lives : int
         Lives of contacts that were simulated.
     seed, engine_seconds
         Seed of the random numbers, and seconds that it took.
     reached : bool
-        Whether the requested error was.
+        True if the error is at most the one asked for.
     hidden : float
-        What of the errors is no scatter: a bound on the relative error of means over
-        lives.
+        Bound on the relative error of means over lives that the scatter does not show.
     """
 
     lives: int
@@ -113,13 +112,13 @@ def steady(
     rel_error : float
         Relative standard error asked of all observables.
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
     threads : int
         Changes speed only.
     max_lives : float
         Work that would need more lives of contacts is refused before it starts.
     progress : callable, optional
-        `progress(done, total)` is told about the lives of an attempt, each of which
+        `progress(done, total)` is called with the lives of an attempt; each attempt
         begins with done = 0.
     plain : bool
         Draw independent lives as they are born, without Sobol sequences and weights:
@@ -195,8 +194,8 @@ def steady(
         late = done > 2 * RANDOMISATIONS * FEWEST_LIVES
         if enough or (late and RANDOMISATIONS * needed > max_lives):
             seconds, reached = time.perf_counter() - begin, error <= rel_error
-            how = done, seed, seconds, reached, unseen.means
-            return Steady(*result, *how)  # type: ignore[call-arg,arg-type]
+            how_computed = done, seed, seconds, reached, unseen.means
+            return Steady(*result, *how_computed)  # type: ignore[call-arg,arg-type]
         size = needed
 
 
@@ -280,10 +279,10 @@ def _averages(
 
     of_friction = (work + drag * delay - friction * cycle) / cycle.mean()
     of_pinned = (travel - pinned * cycle) / cycle.mean()
-    # of laws so broad that there is no variance
+    # laws may be so broad that there is no variance
     with np.errstate(over="ignore", invalid="ignore"):
         second = float((square.mean() + drag**2 * delay) / cycle.mean())
-        # of all randomisations together: few lives of one make much of its mean square
+        # among all randomisations: in one alone few lives make much of its mean square
         largest = float((sums[:, 5] * square).max() / square.sum())
         of_second = (square + drag**2 * delay - second * cycle) / cycle.mean()
         value, error = second - friction**2, unseen.squares * second

@@ -32,15 +32,15 @@ from eqsim.numerics.streams import TRAJECTORY
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
 
-_UNCOUNTED = 1000  # lives, which are over before anybody counts them
+_UNCOUNTED = 1000  # lives, so few that exceeding `max_lives` by them does not matter
 
 
 def predicted_lives(
     ensemble: Ensemble, drive: Drive | Programme, replicas: int = 1
 ) -> float:
-    """How many lives a run will take, within a few per cent or somewhat too many: by
-    Wald's identity a contact that uses up min(life and delay, distance) each time fills
-    the distance."""
+    """Predict the number of lives of a run, within a few per cent or somewhat too many:
+    by Wald's identity a contact that uses up min(life and delay, distance) each time
+    fills the distance."""
     if isinstance(drive, Programme):
         lives = sum(programme.cycles(ensemble, drive))
         if drive.stage:
@@ -70,9 +70,9 @@ def check_run(
 
 
 def guarded(progress: Progress | None, expected: float, max_lives: float) -> Progress:
-    """`progress` of a run of which so many lives are `expected`, which stops it with
-    InputError where it takes more than twice `max_lives`: a prediction from typical
-    lives may miss what a slider does behind a spring."""
+    """Wrap `progress` of a run of which so many lives are `expected`, to stop it with
+    InputError where it takes more than twice `max_lives`: predictions from typical
+    lives may fail for a slider behind a spring."""
 
     def count(lives: int) -> None:
         if lives > 2.0 * max_lives + _UNCOUNTED:
@@ -126,7 +126,7 @@ def trajectory(
         Equidistant X from 0 at which the force is recorded; of a programme about so
         many instants (`Programme.grid`).
     seed : int
-        Of the random numbers; the result depends on nothing else.
+        Seed of the random numbers; threads and workers change nothing.
     replicas : int
         Independent ensembles; means and standard deviations are over all of them.
     threads : int or (Executor, int)
@@ -137,7 +137,7 @@ def trajectory(
         Work that needs more lives of contacts is refused, and stopped where it takes
         twice as many.
     progress : callable, optional
-        `progress(lives)` is told now and then how many lives have been simulated.
+        `progress(lives)` is called now and then with the lives simulated so far.
 
     Returns
     -------
@@ -184,9 +184,8 @@ def trajectory(
     of_pinned = scatter.pinned_variance(pinned, count, c.delay.mean > 0)
     if not run.stationary:  # all contacts are pinned and unstretched at X = 0
         of_pinned[0] = 0.0
-    one, way = replace(ensemble, count=1), None if run.stationary else run.distance
-    expected_ones = _expected(one, drive.velocity, mean_stretch, way)
-    law, level, (alike, noise) = expected_ones
+    single, way = replace(ensemble, count=1), None if run.stationary else run.distance
+    law, level, (alike, noise) = _expected(single, drive.velocity, mean_stretch, way)
     of_force, rare = scatter.known_variance(law.at(grid / unit), level, variance, count)
     _, always_rare = scatter.known_variance(level, level, level.variance, count)
     bias = programme.step_bias(job.steps)
@@ -225,9 +224,8 @@ def _expected(
     mean_stretch: float | None,
     distance: float | None,
 ) -> tuple[Scatter, Scatter, tuple[tuple[float, ...], float]]:
-    """What the law says of the scatter of forces over a distance and in the stationary
-    state, and of how many `independent` lives there are to a unit of displacement.
-    Remembered: it takes 20 ms, and seeds share it."""
+    """Scatter of forces from the law, over a distance and in the stationary state, and
+    the numbers of `independent` lives. Cached: it takes 20 ms, and seeds share it."""
     c, drag = contacts(ensemble, velocity, mean_stretch), drag_of(ensemble, velocity)
     born = scatter.births(c)
     level = scatter.scatter(c, born, None, drag)
@@ -238,12 +236,12 @@ def _expected(
 def independent(
     c: Contacts, born: Births, drag: float
 ) -> tuple[tuple[float, ...], float]:
-    """How many lives like those that make the scatter there are to a unit of
-    displacement, for each of `OBSERVABLES`; and the variance, per unit of displacement,
-    of (f - F)^2 added up along it, f the force of a contact. Of n lives with residuals
-    r = work + drag T - friction (l + T) these are n (E r^2)^3/max(E r+^3, E r-^3)^2:
-    their inverse square root bounds the skewness of the mean of r, and half of it how
-    far Student's t is off in the mean (derived)."""
+    """Effective number of lives per unit of displacement, of those that make up the
+    scatter of each of `OBSERVABLES`; and the variance, per unit of displacement, of (f
+    - F)^2 added up along it, f the force of a contact. Of n lives with residuals r =
+    work + drag T - friction (l + T) these are n (E r^2)^3/max(E r+^3, E r-^3)^2: their
+    inverse square root bounds the skewness of the mean of r, and half of it how far
+    Student's t is off in the mean (derived)."""
     waits = c.delay.law.sample()
     share = np.repeat(born.share / waits.size, waits.size)
     wait = np.tile(waits, born.share.size)
@@ -299,9 +297,9 @@ def _second_half(
 def _force_variance(
     variance: Array, level: Scatter, run: Run, contacts: int, noise: float
 ) -> Estimate:
-    """From the variance over contacts at every grid point, shape (points,), those of
-    the second half; its error from the law: what `noise` says of the time average, and
-    what instants that far apart may miss."""
+    """Mean over the second half of the variance over contacts at every grid point,
+    shape (points,). Its error is from the law: `noise` gives that of the time average,
+    and the fourth moment what instants that far apart may miss."""
     late = variance[run.points // 2 :]
     if contacts < 2:
         return Estimate(None, None, contacts)
@@ -313,15 +311,15 @@ def _force_variance(
 
 
 def _is_over(average: Estimate, expected: Array, level: float) -> bool:
-    """Whether the transient, as the law expects it, moves an average by less than half
+    """True if the transient that the law predicts moves an average by less than half
     its error, or by rounding."""
     least = 0.5 * (average.stderr or 0.0) + 1e-9 * abs(level)
     return bool(abs(np.mean(expected) - level) <= least)
 
 
 def _shown(average: Estimate, unit: float, trusted: bool, bias: float) -> Estimate:
-    """In the user's unit, with a relative error `bias` more, and unreliable unless
-    `trusted`."""
+    """Convert an average to the user's unit, with a relative error `bias` more, and
+    unreliable unless `trusted`."""
     value, stderr = average.value, average.stderr
     if bias and value is not None and stderr is not None:
         stderr = math.hypot(stderr, bias * value)

@@ -145,8 +145,8 @@ class Delay:
 
 
 class Waits(NamedTuple):
-    """A law of delays for kernels, one type for all: of the `mean`, `random` is
-    exponential and the rest fixed."""
+    """A law of delays for kernels, one type for both: the part `random` of the `mean`
+    is exponentially distributed, the rest fixed."""
 
     mean: float
     random: float
@@ -165,6 +165,6 @@ def delay_draw(law: Waits, u: float) -> float:
 
 @routine(inline=True)
 def residual_delay_draw(law: Waits, u: float) -> float:
-    """The rest of a delay in the stationary state, where all of it is random or none,
-    from a uniform u in (0, 1)."""
+    """The rest of a delay in the stationary state, all of it random or none, from a
+    uniform u in (0, 1)."""
     return (law.mean - law.random) * u - law.random * math.log(u)

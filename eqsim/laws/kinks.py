@@ -17,7 +17,7 @@ SHARPER = 17
 FALLS = 1.0 / 400.0
 # second differences, in units of the density nearby, that rounding may make
 NOISE = 1e-11
-LARGEST = 1e100  # density in the place of an infinite one
+LARGEST = 1e100  # stands for an infinite density
 # kinks that are kept, those of the largest second differences: a density with noise has
 # them everywhere
 MOST_KINKS = 64

@@ -1,4 +1,4 @@
-"""When two laws are the same."""
+"""Equality of laws."""
 
 from typing import Any
 
@@ -12,8 +12,8 @@ class Law:
     __slots__ = ()
 
     def __init_subclass__(cls) -> None:
-        """Give a law these methods as its own: those of tuple come first where the
-        NamedTuple does."""
+        """Give a law these methods as its own: those of tuple would go first where the
+        NamedTuple is named first."""
         super().__init_subclass__()
         for method in ("__eq__", "__ne__", "__hash__"):
             setattr(cls, method, vars(Law)[method])

@@ -22,8 +22,8 @@ _ROOT_2PI = math.sqrt(2.0 * math.pi)
 
 
 class Named(Smooth):
-    """A law in units u = xi/unit: formulas of arrays u of any shape within the `ends`,
-    or of e; what a share exp(-e) of the contacts exceeds is `exceeded`."""
+    """A law in units u = xi/unit: formulas for arrays u of any shape within the `ends`.
+    `exceeded(e)` is the u that a share exp(-e) of the contacts exceeds."""
 
     density: Callable[[Array], Any]
     below: Callable[[Array], Any]  # P(U <= u)
@@ -281,10 +281,10 @@ class Normal(Named):
         (s,) = self.numbers
         z, nearest = 1.0 / s, 0.5 * min(1.0, s)
         far = 1.0 - s * special.ndtri_exp(special.log_ndtr(z) - e)
-        with np.errstate(divide="ignore"):  # the cut is out of reach
+        with np.errstate(divide="ignore"):  # where the cut is too far away to matter
             wanted = -np.expm1(-e) / self._at_cut
         w = np.minimum(np.log1p(z * wanted) / z, nearest)
-        for _ in range(5):  # of Newton, from a first guess that misses y^2/2
+        for _ in range(5):  # Newton's method, from a first guess without y^2/2
             step = (self._near_cut(w) - wanted) * np.exp(0.5 * w * w - w * z)
             w = np.minimum(w - step, nearest)
         return np.where(w < nearest, s * w, far)
@@ -411,7 +411,7 @@ def threshold_parameters(name: str) -> dict[str, float | None]:
 
 
 def law_of(name: str, given: dict[str, float | None]) -> ThresholdLaw:
-    """A law of the list from what is given (not None). Raises InputError for a
+    """A law of the list from its parameters, None if not given. Raises InputError for a
     parameter that is missing."""
     for key, default in threshold_parameters(name).items():
         if default is None and given.get(key) is None:

@@ -4,7 +4,7 @@
 A contact is born at y, is carried to y + s, and breaks at x_b; l = x_b - y is its
 travel. y is a length, or a fraction of the contact's own threshold. In the first case a
 contact that forms is one that holds: its threshold is drawn given that it is above |y|;
-that of an annealed contact given that it is above y, for the master equation knows no
+that of an annealed contact given that it is above y, since the master equation has no
 mechanical breaking at negative stretch, P(x) = P_c/J_c for x > 0 only. In the second
 the threshold is drawn first.
 
@@ -36,10 +36,10 @@ _NUMBERS = {
     "exponential": ("mean",),
     "normal": ("mean", "std"),
 }
-# share of births that may be so stretched that hardly a threshold is above them
+# largest share of births that may be beyond the greatest threshold
 _LOST = 1e-9
 _RAREST_THRESHOLD = 470.0  # -ln J_c of a threshold that counts as the greatest
-# of stretches over the scale of the thresholds; below, hardly a threshold is passed
+# of stretches over the scale of thresholds; few thresholds are less
 _FIRST_OCTAVE = -40
 
 
@@ -55,7 +55,7 @@ class DeltaBirths(NamedTuple("DeltaNumbers", [("stretch", float)]), Law):
 
     @property
     def range(self) -> tuple[float, float]:
-        """Beyond these are 1e-16 of all births, or none."""
+        """Least and greatest stretch of all births but a share of 1e-16."""
         return self.stretch, self.stretch
 
     def pdf(self, y: Array) -> Array:
@@ -167,13 +167,13 @@ class Newborn:
         "length", or "threshold": the numbers are fractions of the contact's own
         threshold, between -1 and 1 ("delta" and "uniform" only).
     stretch : float, optional
-        Of "delta" (length, positive in the direction of X, or fraction).
+        Stretch of "delta" (length, positive in the direction of X, or fraction).
     low, high : float, optional
-        Of "uniform".
+        Range of "uniform".
     mean : float, optional
-        Of "exponential", > 0, and "normal".
+        Mean of "exponential", > 0, or "normal".
     std : float, optional
-        Of "normal", > 0.
+        Standard deviation of "normal", > 0.
 
     Examples
     --------
@@ -226,13 +226,13 @@ class Newborn:
 
     @property
     def active(self) -> bool:
-        """Whether any contact is born stretched."""
+        """True if any contact is born stretched."""
         return self.law != "unstressed" and self.stretch != 0.0
 
     @property
     def declared(self) -> tuple[Any, ...]:
-        """The name of random streams: texts and numbers as they were given, lengths to
-        be divided by a unit."""
+        """Name of random streams: texts and numbers as given; lengths are yet to be
+        divided by a unit."""
         return self.law, self.of, *(getattr(self, name) for name in _NUMBERS[self.law])
 
     def reduced(self, unit: float) -> Any:
@@ -245,8 +245,7 @@ class Newborn:
         return LAWS[self.law](*numbers)
 
     def check(self, thresholds: ThresholdLaw, disorder: str, ages: bool) -> None:
-        """Raise InputError if contacts are born beyond the thresholds there are, or
-        age."""
+        """Raise InputError if contacts are born beyond all thresholds, or age."""
         if not self.active:
             return
         if ages:
@@ -280,7 +279,7 @@ def _greatest(thresholds: ThresholdLaw) -> float:
 
 
 class Unstressed(NamedTuple):
-    """For kernels: every contact is born at stretch 0."""
+    """Births for kernels where every contact is born at stretch 0."""
 
     most: float = 0.0
 
@@ -290,18 +289,14 @@ class Unstressed(NamedTuple):
 
 
 class Stretched(NamedTuple):
-    """For kernels: a law of births; whether it is one of fractions of the threshold;
-    whether a threshold has to be above |y|, or above y only; the stretch that births
-    beyond it, as good as none, count as; -ln J_c(|y|) against |y|, an empty table where
-    that is sought in the thresholds' own; and the direction of motion, in which
-    stretches of contacts count that are followed along a segment."""
+    """Births for kernels."""
 
-    law: Any
-    of_threshold: bool
-    two_sided: bool
-    most: float
-    ranks: Array
-    sign: float = 1.0
+    law: Any  # of `LAWS`
+    of_threshold: bool  # y is a fraction of the threshold
+    two_sided: bool  # thresholds have to be above |y|, not above y only
+    most: float  # births beyond it, which hardly occur, are put there
+    ranks: Array  # -ln J_c(|y|) against |y|; empty: sought in the thresholds' table
+    sign: float = 1.0  # direction of motion along a segment, in which y counts
 
     def reach(self, xi: float) -> float:
         """The greatest |y| of contacts whose thresholds are at most `xi`."""
@@ -368,7 +363,7 @@ def _normal(law: NormalBirths, u: float) -> float:
 
 @by_law
 def born_stretched(law: Any) -> bool:
-    """Whether contacts are."""
+    """True if contacts are born stretched."""
     return False
 
 

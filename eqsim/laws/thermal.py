@@ -1,4 +1,4 @@
-"""Temperature, attempts and the barrier they are made on."""
+"""Temperature, attempt frequency and barrier of thermally activated breaking."""
 
 from dataclasses import dataclass
 

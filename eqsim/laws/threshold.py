@@ -39,9 +39,9 @@ _TAIL_STEP = 25.0  # between the three thresholds that tell its power
 _PANEL = 4.0
 # the shortest, next to the lower end of the integral, where integrands may have a kink
 _FINEST_PANEL = 2.0**-40
-# of a moment's tail per e, below which rounding cannot tell it from a divergent one
+# decay of a moment's tail per e, below which rounding hides whether it diverges
 _LEAST_DECAY = 1e-9
-_KNOWN_SHARE = 1e-6  # a J_c that is good to 1e-10 even if it is 1 less the distribution
+_KNOWN_SHARE = 1e-6  # a J_c that is good to 1e-10 even if computed as 1 - P(xi <= x)
 _ROUNDED = 1e-13  # relative, of sums and of logarithms of about 500
 _TAIL_NODES, _TAIL_WEIGHTS = gauss_legendre(12)
 
@@ -50,11 +50,11 @@ class ThresholdLaw(Protocol):
     """The interface of a law of thresholds; lengths are in the user's unit."""
 
     def __hash__(self) -> int:
-        """Laws are immutable; their tables are remembered."""
+        """Laws are immutable; their tables are cached."""
 
     @property
     def declared(self) -> tuple[Any, ...]:
-        """The name of random streams: a length that was given, then the law's name and
+        """Name of random streams: a length that was given, then the law's name and
         numbers in units of it; nothing that takes more than products and ratios to
         compute."""
 
@@ -81,7 +81,7 @@ class ThresholdLaw(Protocol):
 
     @property
     def breakpoints(self) -> Array:
-        """Where the density of a smooth law jumps inside its support."""
+        """Thresholds inside its support where the density of a smooth law jumps."""
 
     @property
     def kinks(self) -> Array:
@@ -106,7 +106,7 @@ class ThresholdLaw(Protocol):
 
 
 class Continuous:
-    """What laws with a density that is smooth at all thresholds > 0 have in common."""
+    """Properties of laws whose density is smooth at all thresholds > 0."""
 
     steps: Array = NO_STEPS
     breakpoints: Array = NO_STEPS
@@ -317,8 +317,7 @@ class Table(_Discrete):
 
 
 class Smooth(Continuous):
-    """What laws with any density have in common: draws come from a table of the
-    quantile function."""
+    """Base of laws with any density, drawn from a table of the quantile function."""
 
     scale: float
     pdf: Callable[[Any], Array]
@@ -327,13 +326,14 @@ class Smooth(Continuous):
 
     @property
     def kinks(self) -> Array:
-        """Those of a law whose density is smooth between the ends of its support and
+        """Kinks of a law whose density is smooth between the ends of its support and
         its breakpoints."""
         ends = [end for end in self.support if 0.0 < end < math.inf]
         return np.union1d(self.breakpoints[self.breakpoints > 0.0], ends)
 
     def table(self) -> Array:
-        """`inverse_survival` for kernels. Raises InputError where that is none."""
+        """`inverse_survival` for kernels. Raises InputError where it is no quantile
+        function."""
         e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
         xi = self.inverse_survival(e)
         if not (np.all(np.isfinite(xi)) and np.all(np.diff(xi) >= 0) and xi[0] >= 0):
@@ -358,8 +358,8 @@ class Smooth(Continuous):
 
     @functools.cached_property
     def squares_drawn_to(self) -> tuple[float, float]:
-        """The same of mean squares of forces, that is of xi^3 (uniform stiffness) and
-        of xi^5 (the sqrt law), to which thresholds contribute that are far rarer."""
+        """`drawn_to` for mean squares of forces, that is for xi^3 (uniform stiffness)
+        and xi^5 (the sqrt law), to which far rarer thresholds contribute."""
         third, fifth = self._drawn_to(3, 5, rarest=RAREST)
         return third, fifth
 
@@ -382,8 +382,8 @@ class Smooth(Continuous):
             return [error(p) for p in powers]
 
 
-# of the scale, how far a kink may be that is another; nearer to an infinite end a
-# density is rounded
+# kinks closer to a known one, over the scale, are none of their own: next to an
+# infinite end densities are rounded
 _SAME = 1e-6
 # Points between which the bins of a histogram are sought, in equal steps and in equal
 # shares.
@@ -392,9 +392,9 @@ _SEEN = 4097
 
 def _bins(histogram: Any) -> Array:
     """Find where the density of an `rv_histogram` jumps, to the last bit, and the ends
-    of its support. SciPy does not tell its bins. They are found by bisection between
+    of its support. SciPy does not tell its bins: they are found by bisection between
     points whose densities differ. Only bins that are both narrower and less likely than
-    1/4096 may be hidden between two points of equal density."""
+    1/4096 may be missed."""
     low, high = histogram.support()
     shares = histogram.ppf(np.linspace(0.0, 1.0, _SEEN))
     x = np.append(np.linspace(low, high, _SEEN), shares)
@@ -418,11 +418,11 @@ class Distribution(Smooth):
     Parameters
     ----------
     frozen : scipy.stats frozen distribution
-        With a finite mean cube (the work of a contact under the sqrt law).
+        Its mean cube (the work of a contact under the sqrt law) has to be finite.
     breakpoints : array_like, optional
-        Where its density jumps inside the support (those of an `rv_histogram` are
-        found). Next to these draws are interpolated, which the error bars of `steady`
-        count, up to some 1e-3 across a gap.
+        Points inside the support where its density jumps (those of an `rv_histogram`
+        are found). Draws next to these are interpolated; the error bars of `steady`
+        include this, up to some 1e-3 across a gap.
 
     Examples
     --------
@@ -450,13 +450,13 @@ class Distribution(Smooth):
                 f"threshold distribution: its support begins at {least:g}; must be >= 0"
             )
         with warnings.catch_warnings():
-            # a divergent integral is refused in our words
+            # a divergent integral is refused below
             warnings.simplefilter("ignore")
             third = float(frozen.moment(3))
             second, self.mean = float(frozen.moment(2)), float(frozen.mean())
         low, high = frozen.support()
         self.support, self.scale = (float(low), float(high)), 1.0
-        # formulas and quadratures of SciPy may give a finite number then
+        # where it diverges SciPy may give a finite number
         if self._third_diverges():
             third = math.inf
         require_number("threshold distribution: <xi^3>", third, above=0)
@@ -487,7 +487,7 @@ class Distribution(Smooth):
         flat: list[Any] = []
         for part in (*getattr(self.frozen, "args", ()), *named):
             flat += part if isinstance(part, tuple) else (part,)
-        # a histogram's are all it has
+        # a histogram has no other parameters
         return (1.0, self._name, *flat, self.breakpoints, self.cdf(self.breakpoints))
 
     def pdf(self, x: Any) -> Array:
@@ -663,7 +663,7 @@ class Thresholds(NamedTuple):
 # It takes 2 ms, of SciPy's laws up to seconds; 32 tables of 130 kB are 4 MB.
 @functools.lru_cache(maxsize=32)
 def for_kernels(law: ThresholdLaw) -> Thresholds:
-    """The law for kernels, remembered: sweeps over velocity and temperature share it."""
+    """The law for kernels, cached: sweeps over velocity and temperature share it."""
     exponentials = 0
     if isinstance(law, Gamma) and law.n in (0.0, 1.0):
         exponentials = int(law.n) + 1

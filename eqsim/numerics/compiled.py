@@ -1,5 +1,5 @@
-"""How eqsim compiles its kernels: no GIL, strict IEEE arithmetic, and a cache that
-cannot go stale.
+"""Compile kernels: without the GIL, in strict IEEE arithmetic, cached on disk by their
+sources.
 
 `kernel` compiles a function that Python calls, for the types of its arguments, and
 keeps the machine code on disk. `routine` compiles a function into the kernels that
@@ -7,7 +7,7 @@ call it. `by_law` makes a routine that has another body for each type of law.
 
 Division follows NumPy (x/0 is infinite): Python's exception would be a branch in every
 division, and no loop with one vectorises. Inlined routines do not count references to
-arrays, which would take longer than all they do; so they make none.
+arrays, which would take longer than their work; so they must not make arrays.
 """
 
 import functools
@@ -61,7 +61,8 @@ class Kernel:
 
 
 def _kind(value: Any) -> Any:
-    """What numba's type of a value depends on; numba.typeof takes fifty times longer."""
+    """Key that determines numba's type of a value; numba.typeof takes fifty times
+    longer."""
     if type(value) is np.ndarray:
         flags = value.flags
         if flags.carray:  # C-contiguous, aligned and writeable
@@ -111,7 +112,7 @@ def routine(function: Callable[..., Any] | None = None, *, inline: bool = False)
 
 
 class LawRoutine(Protocol):
-    """What `by_law` makes."""
+    """A routine that `by_law` makes."""
 
     def __call__(self, law: Any, *arguments: Any) -> Any: ...
 

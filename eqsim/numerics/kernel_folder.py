@@ -1,13 +1,13 @@
-"""Where machine code is kept on disk, and who may use it.
+"""Folders for machine code on disk, locked and checked.
 
 numba keys a cached kernel on the file of the outermost function alone, so an edit of a
 law would leave the old machine code of every kernel that calls it in use. Here the
 folder carries a digest of all kernel sources.
 
-Nothing protects the files of numba's cache: not from processes that write at the same
-time, not from the end of a process between two files, not from a disk that loses part
-of one. Here a process locks the folder of what it compiles or loads, and files are used
-only if their checksum was written after them.
+The files of numba's cache are not protected from processes that write at the same time,
+that end between two files, or from a disk that loses part of one. Here a process locks
+the folder of what it compiles or loads, and files are used only if their checksum was
+written after them.
 """
 
 import functools
@@ -33,10 +33,10 @@ KERNEL_SOURCES = (
     "master/fronts.py",
     "master/slider.py",
 )
-# Seconds that a process waits for another one that compiles the same kernel: several
-# times what the longest takes. Then it compiles for itself.
+# Seconds that a process waits for another one that compiles the same kernel, several
+# times as long as any takes; then it compiles for itself.
 _PATIENCE = 120.0
-# Seconds between two looks at a lock: no delay that anybody notices.
+# Seconds between two looks at a lock, too short to be noticed.
 _LOOK = 0.05
 _one_thread = threading.RLock()
 # When this process began what it compiles, loads or waits for.

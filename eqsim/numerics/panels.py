@@ -57,9 +57,9 @@ class Panels(NamedTuple):
     ----------
     left, right : ndarray, shape (panels,)
     interval : ndarray of int, shape (panels,)
-        Which interval each is a piece of.
+        Number of the interval that each is a piece of.
     values : ndarray, shape (..., panels)
-        What was evaluated.
+        Values of `evaluate`.
     """
 
     left: Array
@@ -99,7 +99,7 @@ def refined(
     -------
     Panels
     object
-        What `judge` had to add of them.
+        The second value that `judge` returned for them.
     """
     interval, first = (part.ravel() for part in np.indices((intervals, edges.size - 1)))
     at = edges[first], edges[first + 1], interval

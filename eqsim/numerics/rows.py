@@ -1,7 +1,7 @@
-"""Whole numbers of four contacts at a time, added to records that contacts share.
+"""Add integers to records that contacts share, for four contacts at a time.
 
-Left to itself the compiler changes the fields of a record one by one, twelve of them
-for a life. In vectors a life at T = 0 takes a quarter less.
+The compiler would change the fields of a record one by one, twelve for a life. With
+vectors a life at T = 0 takes a quarter less time.
 """
 
 from collections.abc import Callable
@@ -33,8 +33,8 @@ def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
 
 
 def _vector_at(builder: Any, array: Any, offset: Any, width: int) -> Any:
-    """Where neighbouring 64-bit integers of an array begin, `offset` of them after its
-    own beginning."""
+    """Pointer to `width` neighbouring 64-bit integers of an array, from number `offset`
+    on."""
     data = builder.gep(builder.bitcast(array.data, _WHOLE.as_pointer()), [offset])
     return builder.bitcast(data, ir.VectorType(_WHOLE, width).as_pointer())
 

@@ -1,6 +1,5 @@
-"""Scrambled Sobol sequences, many at a time: to the last bit those of
-`scipy.stats.qmc.Sobol`, which takes longer to begin one of them than two thousand
-points do.
+"""Scrambled Sobol sequences, many at a time: the same bits as `scipy.stats.qmc.Sobol`,
+which takes longer to begin a sequence than to make two thousand points.
 
 Point i of a sequence is a shift and, for each bit k of i, an exclusive or with a word
 w_k: so many points follow from half as many. Direction numbers are those of Joe and Kuo
@@ -17,7 +16,7 @@ from eqsim.numerics.compiled import kernel
 from eqsim.numerics.tables import Array
 
 _SOBOL_BITS = 30
-# of the bits of a number, the highest first
+# places of the bits of a number, the highest first
 _PLACES = np.arange(_SOBOL_BITS - 1, -1, -1, dtype=np.int32)
 
 
@@ -41,7 +40,7 @@ class Sobol(NamedTuple):
     ----------
     shift : ndarray of uint32, shape (sequences, dimensions)
     words : ndarray of uint32, shape (sequences, dimensions, words)
-        As many as the number of a point has bits.
+        One for each bit of the number of a point.
     """
 
     shift: Array
@@ -51,8 +50,8 @@ class Sobol(NamedTuple):
     def of(
         cls, generators: Sequence[np.random.Generator], dimensions: int, most: int
     ) -> "Sobol":
-        """A sequence of each random generator, of `most` points, up to 2^30, in up to
-        three dimensions."""
+        """Make a sequence of `most` points, up to 2^30, from each random generator, in
+        up to three dimensions."""
         size, shape = (
             dimensions * _SOBOL_BITS,
             (len(generators), dimensions, _SOBOL_BITS),
@@ -75,7 +74,7 @@ class Sobol(NamedTuple):
         return cls((shifts << _PLACES[::-1]).sum(axis=2, dtype=np.uint32), words)
 
     def some(self, which: slice) -> "Sobol":
-        """Some of the sequences."""
+        """Select sequences."""
         return Sobol(self.shift[which], self.words[which])
 
     def points(self, first: int, count: int) -> Array:

@@ -14,11 +14,10 @@ import numpy as np
 
 from eqsim.numerics.compiled import routine
 
-TRAJECTORY = 1  # purpose of the contacts of an ensemble; `seed` is that of the run file
-# first purpose of a steady estimate; others are hashes of what it is an estimate of
-STEADY = 2
+TRAJECTORY = 1  # purpose of contacts that are simulated along a drive
+STEADY = 2  # purpose of steady estimates; a hash of their parameters is added to it
 
-ROUGH = 2.0**-20  # what `product` leaves coarse: relative cells of 2^-12 and more
+ROUGH = 2.0**-20  # below it the cells of `product` are wider than 2^-12 of it
 
 _LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
 _MULTIPLY_0, _MULTIPLY_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
@@ -35,30 +34,30 @@ class Key(NamedTuple):
 
 
 def key(seed: int, purpose: int) -> Key:
-    """The key of a stream of random numbers."""
+    """Philox key of the stream of random numbers of a seed and a purpose."""
     words = np.random.SeedSequence((seed, purpose)).generate_state(2, np.uint32)
     return Key(np.uint64(words[0]), np.uint64(words[1]))
 
 
 def generator(*name: int) -> np.random.Generator:
-    """NumPy's generator of a named stream: the child of the name, which is what SciPy's
-    own Sobol sequence would draw from."""
+    """NumPy generator of the stream with this name. It has the first child of the name
+    as a seed, as SciPy's Sobol sequence has, whose bits `numerics.sobol` repeats."""
     return np.random.Generator(
         np.random.PCG64(np.random.SeedSequence(name, spawn_key=(0,)))
     )
 
 
 def name_of(*declared: Any) -> int:
-    """A 64-bit number that stands for declared parameters, texts and numbers (of any
-    shape), in the names of streams. Of numbers only 33 bits count: one that was
-    computed, 10**-1.5, may differ in its last bits between processors, and still has to
-    name the same stream."""
+    """Hash of declared parameters, texts and numbers of any shape, to 64 bits: a part
+    of the names of streams. Numbers are rounded to 33 bits, since computed ones, as
+    10**-1.5, may differ in their last bits between processors, and have to name the
+    same stream."""
     digest = hashlib.sha256()
-    for part in declared:
-        if isinstance(part, str):
-            digest.update(part.encode() + b"\0")
+    for parameter in declared:
+        if isinstance(parameter, str):
+            digest.update(parameter.encode() + b"\0")
         else:
-            mantissa, exponent = np.frexp(np.asarray(part, float))
+            mantissa, exponent = np.frexp(np.asarray(parameter, float))
             number = np.ldexp(np.rint(mantissa * 2.0**33), exponent - 33)
             digest.update(number.astype("<f8").tobytes() + b"\0")
     return int.from_bytes(digest.digest()[:8])
@@ -67,7 +66,7 @@ def name_of(*declared: Any) -> int:
 @routine(inline=True)
 def philox(c0: Any, c1: Any, c2: Any, c3: Any, key: Key) -> tuple[Any, Any, Any, Any]:
     """Ten rounds of Philox4x32; every word is a uint64 that holds 32 bits."""
-    # else the compiler multiplies 64 bits by 64 at first
+    # so that the compiler multiplies 32 bits by 32 in the first round, too
     c1, c3 = c1 & _LOW, c3 & _LOW
     low, high = key.low & _LOW, key.high & _LOW
     for _ in range(10):
@@ -82,8 +81,8 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, key: Key) -> tuple[Any, Any, Any,
 def uniform(low: Any, high: Any) -> float:
     """A uniform in (0, 1) from two 32-bit words: 63 bits near 0, never 0 and never 1."""
     bits = (low | (high << _HALF)) >> np.uint64(1)
-    # halves in the last bits of 2^84 and of 2^52, whose sum is rounded once: many
-    # processors have no instruction that converts several 64-bit integers
+    # Halves in the mantissas of 2^84 and of 2^52, whose sum is rounded once: few
+    # processors convert several 64-bit integers at a time.
     upper = np.uint64((bits >> _HALF) | _UNITS_OF_UPPER).view(np.float64)
     upper -= 2.0**84 + 2.0**52
     whole = upper + np.uint64((bits & _LOW) | _UNITS).view(np.float64)
@@ -92,7 +91,7 @@ def uniform(low: Any, high: Any) -> float:
 
 @routine(inline=True)
 def _midpoint(word: Any) -> float:
-    """A 32-bit word and a half: the word in the last bits of 2^52."""
+    """A 32-bit word plus 1/2 as a float, from the mantissa of 2^52."""
     return np.uint64(word | _UNITS).view(np.float64) - (2.0**52 - 0.5)
 
 
@@ -108,8 +107,8 @@ def product(low: Any, high: Any) -> float:
 def fine_product(
     key: Key, contact: int, life: int, draw: int, low: Any, high: Any
 ) -> float:
-    """`product` where it is small, its two cells divided by a further draw: uniforms
-    down to 2^-96."""
+    """Refine a small `product`: a further draw divides the cells of both uniforms,
+    which then reach down to 2^-96."""
     u, v = uniforms(key, contact, life, draw)
     first = (np.float64(np.int64(low)) + u) * 2.0**-32
     return first * ((np.float64(np.int64(high)) + v) * 2.0**-32)
@@ -119,8 +118,8 @@ def fine_product(
 def fill_words(
     key: Key, contact: Any, life: Any, draw: int, words: Any, lanes: int
 ) -> None:
-    """The four words behind `uniforms` of `lanes` contacts' lives, into the rows of
-    `words`, shape (4, lanes)."""
+    """Fill the columns of `words`, shape (4, lanes), with the `bits` of contacts'
+    lives."""
     for i in range(lanes):
         a, b, d, e = bits(key, contact[i], life[i], draw)
         words[0, i], words[1, i], words[2, i], words[3, i] = a, b, d, e
@@ -128,7 +127,7 @@ def fill_words(
 
 @routine(inline=True)
 def bits(key: Key, contact: int, life: int, draw: int) -> tuple[Any, Any, Any, Any]:
-    """The four words behind `uniforms`."""
+    """Four random 32-bit words, from which `uniforms` makes its numbers."""
     c, j = np.uint64(contact), np.uint64(life)
     last = ((j >> _HALF) << np.uint64(16)) | np.uint64(draw)
     return philox(c & _LOW, c >> _HALF, j & _LOW, last, key)
@@ -147,7 +146,7 @@ def words(
     key: Key, contact: int, life: int, draw: int
 ) -> tuple[float, float, float, float]:
     """Four independent 32-bit integers of a contact's path, as floats; contact < 2^63,
-    life < 2^32, draw < 2^31. None of their counters is one of `uniforms`."""
+    life < 2^32, draw < 2^31. No call of `uniforms` has the same counter."""
     c = np.uint64(contact)
     last = np.uint64(draw) | np.uint64(0x80000000)
     a, b, d, e = philox(c & _LOW, c >> _HALF, np.uint64(life) & _LOW, last, key)

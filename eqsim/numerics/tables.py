@@ -26,7 +26,7 @@ CELLS = 64
 # bits of the mantissa below those that number the 64 cells of an octave
 _CELL_SHIFT = 52 - 6
 _FRACTION = (1 << _CELL_SHIFT) - 1
-# bits of 2^52, the last of which are those of an integer that is added
+# bits of 2^52, in whose mantissa an integer is added
 _UNITS = 0x4330000000000000
 _BIAS = 1023 * CELLS  # of the IEEE exponent, in cells
 
@@ -64,8 +64,8 @@ def octave_table(first: int, y: Array, slope: Array) -> Array:
 
 @routine(inline=True)
 def search(values: Array, x: float, right: bool) -> int:
-    """How many of ascending values are below x, or at most x (`right`);
-    `np.searchsorted` takes long to compile."""
+    """Count ascending values below x, or at most x (`right`); `np.searchsorted` takes
+    long to compile."""
     low, high = 0, values.size
     while low < high:
         middle = (low + high) // 2
@@ -78,8 +78,8 @@ def search(values: Array, x: float, right: bool) -> int:
 
 @routine(inline=True)
 def _cell_of(first: float, per_edge: float, cells: float, s: float) -> tuple[Any, Any]:
-    """The row of the polynomial that holds at s > 0, and its argument, from what row 0
-    says."""
+    """Row of the polynomial that holds at s > 0, and its argument; the first three
+    arguments are those of row 0."""
     bits: Any = np.float64(s).view(np.int64)
     cell = (bits >> _CELL_SHIFT) - np.int64(first)
     t: Any = (np.int64(bits & _FRACTION | _UNITS).view(np.float64) - 2.0**52) * (

@@ -18,10 +18,10 @@ from eqsim.numerics.tables import Array
 
 Result = TypeVar("Result")
 
-NEVER = np.zeros(1, np.int64)  # a flag that nobody sets
+NEVER = np.zeros(1, np.int64)  # a flag that is never set
 # seconds; kernels look at their flag every few milliseconds, compilers never do
 _LONGEST_STOP = 0.3
-_above = threading.local()  # `pool`: the threads among which the current one is
+_above = threading.local()  # `pool`: the one that the current thread belongs to
 
 
 class ThreadPool(Executor):
@@ -36,13 +36,12 @@ class ThreadPool(Executor):
     Parameters
     ----------
     count : int
-        Of threads.
+        Number of threads.
 
     Attributes
     ----------
     stop : ndarray, shape (1,)
-        0 as long as results are waited for. A result that is ready later is a
-        CancelledError.
+        0 as long as results are waited for. Later results are a CancelledError.
     """
 
     def __init__(self, count: int) -> None:

@@ -23,10 +23,10 @@ _ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of sqrt(1/2)
 # added to a number below 2^51, leaves its nearest integer in the low bits
 _SHIFT = 1.5 * 2.0**52
 _SHIFT_BITS = 0x4338000000000000
-# of a first y^(-1/3), less than 4 % off
+# start of Newton's method for y^(-1/3), less than 4 % off
 _CUBE_BITS = (4.0 / 3.0 * 1023.0 - 0.065) * 2.0**52
-# where exponents are cut: ln(1 + y) is ln y to rounding, and any factor fits before y
-# overflows
+# where exponents are cut: there ln(1 + y) is ln y to rounding, and y times any factor
+# does not yet overflow
 FLAT = 400.0
 _TAYLOR = tuple(1.0 / math.factorial(i) for i in range(14))
 _SINE = (  # of sin(pi z/2)/z in z^2: Chebyshev interpolation, 3e-16 off

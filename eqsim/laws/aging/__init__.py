@@ -54,8 +54,8 @@ class Aging:
     x_star_final : float
         Scale x_*f of the final law (length) of the same.
     beta : float, optional
-        Of "logarithmic", and required there: xi(t) = xi(0) (1 + beta ln(1 + t/t_c)),
-        from 0 to 1000.
+        Growth under "logarithmic", required there, from 0 to 1000:
+        xi(t) = xi(0) (1 + beta ln(1 + t/t_c)).
     cutoff_time : float, optional
         t_c (time) of the same.
 
@@ -85,8 +85,8 @@ class Aging:
 
     @classmethod
     def of_keys(cls, values: dict[str, Any], given: set[str]) -> "Aging":
-        """The aging of a run file, from the values of its keys, None of those that have
-        none, of which some are `given`. Raises InputError."""
+        """Aging from the keys of a run file: `values`, None where a key has none, and
+        the keys that are `given`. Raises InputError."""
         aging = cls(**{k: v for k, v in values.items() if v is not None})
         aging.check_keys(given)
         for name in RULES[aging.rule].keys if aging.rule != "none" else ():
@@ -96,7 +96,7 @@ class Aging:
 
     def check_keys(self, given: set[str]) -> None:
         """Raise InputError if parameters are `given` that are not of this rule, or one
-        is missing that has no default. Without a rule nothing is asked."""
+        is missing that has no default. Without a rule nothing is checked."""
         if self.rule == "none":
             return
         for name in (one.name for one in fields(self)[1:]):
@@ -138,7 +138,7 @@ class Aging:
         return alpha
 
     def pooled(self, law: Gamma, decay: float) -> PooledThresholds:
-        """The thresholds at birth of annealed contacts, see `PooledThresholds`."""
+        """Thresholds at birth of annealed contacts that age."""
         return PooledThresholds(law, self.x_star_final, decay)
 
     def law(self, thresholds: Any, velocity: float) -> AgingLaw:

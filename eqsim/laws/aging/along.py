@@ -26,13 +26,13 @@ _NODES, _WEIGHTS = gauss_legendre(10)
 _RANGE = 4.0
 # Within a cell thresholds grow by at most this factor.
 _GROWN = 1.5
-# Hazards exp(-37) of what is left do not count.
+# Hazards less than exp(-37) of the clock do not count.
 _NEGLIGIBLE = 37.0
 # Halvings of a path after which a cell is small enough whatever happens in it.
 _DEEPEST = 1000
-# Halvings that are made anyway where a stretch relaxes under a falling threshold.
+# Halvings made in any case where a stretch relaxes under a falling threshold.
 _RELAXING = 4
-# Of E over a xi^2, 9 units in the last place: of threshold, stretch and their
+# Rounding of E over a xi^2: 9 units in the last place, of threshold, stretch and their
 # difference.
 _ROUNDING = 2e-15
 # Share of an interval that a golden section leaves.
@@ -65,15 +65,15 @@ def _at(c: _Path, s: float) -> tuple[float, float]:
 def path_life(
     law: Any, barrier: Any, springs: Springs, xi: float, clock: float
 ) -> tuple[float, float]:
-    """The stretch at which a contact of threshold `xi` at birth breaks whose clock
-    shows `clock`, and the hazard it has spent."""
+    """The stretch at which a contact of threshold `xi` at birth and exponential clock
+    `clock` breaks, and the hazard it has spent."""
     return _follow(_Path(law, barrier, springs, xi, end(law, xi), 0.0, 1.0, 0.0), clock)
 
 
 @routine
 def _follow(c: _Path, clock: float) -> tuple[float, float]:
-    """The s of a path at which a contact breaks whose clock shows `clock`, or its end,
-    and the hazard it has spent.
+    """The s of a path at which a contact of exponential clock `clock` breaks, or its
+    end, and the hazard it has spent.
 
     The hazard along a growing threshold has no closed form. It is integrated over z, s
     = end z (2 - z), which makes it smooth where a stiff barrier vanishes, by 10
@@ -161,7 +161,7 @@ def _hazard_in(c: _Path, z: float, width: float) -> float:
 
 
 def along_paths(law: type) -> type:
-    """A decorator for a law that has `growth`, `end` and `smooth`: its lives."""
+    """Register lives along paths for a law that has `growth`, `end` and `smooth`."""
     whole_hazard.register(law)(_whole_hazard)
     life.register(law)(_life)
     spend.register(law)(_spend)

@@ -35,11 +35,11 @@ from eqsim.laws.threshold import Gamma
 from eqsim.numerics.compiled import by_law
 from eqsim.numerics.tables import NO_TABLE, Array
 
-# displacement over threshold in which no rate varies, so that travel over velocity is
-# time
+# displacement over threshold in which no rate varies, so that the clock divided by the
+# rate is the time
 _STANDSTILL = 1e-250
-# of a pooled law and of a Fokker-Planck equation: their grids resolve the width of the
-# newborn law
+# largest n of pooled laws and of Fokker-Planck equations, whose grids resolve the width
+# of the newborn law
 _MOST_N = 1000.0
 
 
@@ -85,8 +85,8 @@ class AgingLaw(Law):
         return 1.0
 
     def growth_at(self, x: Array) -> Array:
-        """The factor by which every threshold has grown of contacts that have been
-        pinned for `x` (any shape), where it is the same for all."""
+        """Factor by which thresholds have grown in contacts that have been pinned for
+        `x` (any shape), where it is the same for all."""
         return np.ones_like(x)
 
     def bracket(self, xi: Any) -> tuple[Any, Any]:
@@ -95,7 +95,7 @@ class AgingLaw(Law):
         return xi, xi
 
     def table(self, springs: Springs) -> Array:
-        """The table that `work` looks up, if any."""
+        """Table for the routine `work`, empty if it needs none."""
         return NO_TABLE
 
 
@@ -189,7 +189,7 @@ def smooth(law: Any, x0: float, x1: float) -> bool:
 
 @by_law
 def kappa_at(law: Any, springs: Springs, born: float, now: float) -> float:
-    """k_i/k of a contact born with threshold `born`, which is `now` another."""
+    """k_i/k of a contact whose threshold was `born` at birth and is `now`."""
     return kappa(springs, born)
 
 
@@ -203,8 +203,8 @@ def whole_hazard(law: Any, c: Any, xi: float) -> tuple[float, float]:
 
 @by_law
 def life(law: Any, c: Any, xi: float, clock: float) -> float:
-    """The stretch at which a contact born with threshold `xi` breaks whose exponential
-    clock shows `clock`."""
+    """The stretch at which a contact born with threshold `xi` and exponential clock
+    `clock` breaks."""
     raise TypeError("lives of this law of aging are paths")
 
 
@@ -223,8 +223,8 @@ def break_lives(law: Any, c: Any, lives: Any, r: int, count: int) -> None:
 def spend(
     law: Any, c: Any, contact: Held, moves: float, length: float, clock: float
 ) -> tuple[float, float]:
-    """When a contact breaks along a segment of a programme whose exponential clock has
-    `clock` left, or infinity, and what the clock has left at the end. Time is
+    """Time at which a contact with `clock` left of its exponential clock breaks along a
+    segment of a programme, or infinity, and the rest of the clock at the end. Time is
     displacement at the pace of `c`, and the slider `moves` at so many times that pace:
     1 along a segment of a programme, 0 in a hold."""
     raise TypeError("contacts of this law of aging follow no programme")

@@ -43,9 +43,9 @@ class Flow(NamedTuple("FlowNumbers", [("final2", float), ("alpha", float)]), Dri
 
 
 def work_table(final2: float) -> Array:
-    """The amount by which the mean of x_*(y)/x_*i, weighted with y, over 0 < y < x
-    differs from 1, up to the sign, over 2 and of alpha x: it rises, from a line through
-    the origin to a constant, over which the table may be continued."""
+    """Table of int_0^x |x_*(y)/x_*i - 1| y dy / x^2 against alpha x, by which the work
+    over k_i x^2 differs from 1/2. It rises from a line through the origin to a
+    constant, as tables are continued."""
     first, last = -60, 30
     t = octave_edges(first, last)
     half = 0.5 * np.diff(np.append(0.0, t))[:, None]

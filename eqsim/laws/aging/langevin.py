@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 from eqsim.laws.aging.base import Drift, stiffness_varies
 from eqsim.laws.stiffness import Springs
 
-# relaxations while the contact slides x_*, or in a hold: steps, and time, grow with it
+# most relaxations in x_* of sliding, or in a hold: the number of steps grows with them
 MOST_ALPHA = 1e6
 
 

@@ -1,5 +1,5 @@
-"""What a barrier is: the rate at which heat breaks a pinned contact, its integral, and
-the inverse of that.
+"""Barriers: the rate at which heat breaks a pinned contact, the hazard, which is its
+integral, and the inverse of the hazard.
 
 With stretch x, threshold xi and a = k_i/(2 kT), a contact that makes omega attempts per
 unit time breaks at the rate
@@ -8,8 +8,9 @@ unit time breaks at the rate
 
 E the height of the barrier over kT and p a prefactor of each law. At velocity v the
 hazard per unit displacement is (omega/v) r and its integral (omega/v) H, H(x) = int_0^x
-r dy; a contact whose exponential clock shows c breaks where (omega/v) H(x) = c, or at
-xi if that comes first. Exponents reach 1e9, so everything is done in logarithms.
+r dy. A contact draws an exponential clock c ~ Exp(1) and breaks where (omega/v) H(x) =
+c, or at xi if that comes first. Exponents reach 1e9, so everything is done in
+logarithms.
 
 A law is a NamedTuple of the numbers that kernels need, with formulas as methods and
 bodies of the kernel routines below; `eqsim.laws.barrier` lists the laws. Every law has
@@ -31,23 +32,23 @@ from eqsim.numerics.tables import NO_TABLE, Array
 
 _CELL_NODES, _CELL_WEIGHTS = gauss_legendre(8)
 SHORT_WAY = gauss_legendre(10)  # along a way on which E changes by less than 1
-_CELL_RANGE = 2.0  # of E in a cell, over which 8 nodes integrate exp(-E) to 1e-12
-# cells whose rate is e^40 times less than the largest at an end do not count
+_CELL_RANGE = 2.0  # change of E in a cell for which 8 nodes are good to 1e-12
+# cells whose E exceeds the least E at an end of the interval by so much are left out
 _NEGLIGIBLE_CELL = 40.0
 _COARSEST = 3  # halvings before a cell may be left out: E may have its minimum inside
-_MOST_HALVINGS = 60  # halvings of a piece; there rounding is all that varies
+_MOST_HALVINGS = 60  # halvings of the interval; in finer cells only rounding varies
 
 
 class Numbers(NamedTuple):
-    """What is declared of `Barrier` for the laws that kernels see."""
+    """Fields of barriers with heat, see `Barrier`."""
 
     b: float
     log_w: float
 
 
 class Barrier(Law):
-    """Formulas of a barrier for NumPy: arrays of any shape that broadcast. Lengths are
-    in units of `law.scale`.
+    """Base of all barriers: formulas for NumPy arrays of any shape that broadcast.
+    Lengths are in units of the scale of the threshold law.
 
     Attributes
     ----------
@@ -58,7 +59,7 @@ class Barrier(Law):
     """
 
     __slots__ = ()
-    thermal: ClassVar[bool] = True  # whether heat breaks contacts at all
+    thermal: ClassVar[bool] = True  # heat breaks contacts
     # b above which a quenched contact breaks at its threshold, to 1e-10
     flat_out: ClassVar[float] = 1e16
     b: float
@@ -88,7 +89,7 @@ class Barrier(Law):
 
     @staticmethod
     def prefactor(gap: Any, xi: Any) -> Any:
-        """p; 1 unless a law says otherwise."""
+        """Prefactor p of the rate, 1 by default."""
         return 1.0
 
     @classmethod
@@ -132,8 +133,7 @@ class Barrier(Law):
         log_hazard = self.log_hazard(xi, xi, self.b * stiffness) + self.log_w
         return np.exp(np.minimum(log_hazard, 7.0))
 
-    # Where to look: only panels and grids depend on the following, which a law may
-    # replace by closed forms.
+    # The following only place panels and grids; a law may replace them by closed forms.
 
     @classmethod
     def width(cls, exponent: Any, y: Any, a: Any) -> Array:
@@ -150,13 +150,12 @@ class Barrier(Law):
 
     @classmethod
     def layer(cls, x: float, a: float) -> float:
-        """Distance from the threshold, over x, within which the rate falls by a factor
-        e at stretch x."""
+        """Distance, over x, of the threshold above stretch x at which E is about 1."""
         return float(cls.width(1.0, x, a)) / x
 
     def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
-        """About the stretch at which ln((omega/v) H) passes each of `levels`, shape (n,
-        levels), of n contacts."""
+        """Approximate stretch at which ln((omega/v) H) reaches each of `levels`, shape
+        (n, levels), for n contacts."""
         xi, a = xi[:, None], a[:, None]
         low = np.full((xi.size, levels.size), -700.0)
 
@@ -168,12 +167,12 @@ class Barrier(Law):
 
     @classmethod
     def table(cls) -> Array:
-        """What `stretch` looks up, if anything."""
+        """Table for the routine `stretch`, empty if it needs none."""
         return NO_TABLE
 
     @classmethod
     def hazard_table(cls) -> Array:
-        """What `hazard` looks up, if anything."""
+        """Table for the routine `hazard`, empty if it needs none."""
         return NO_TABLE
 
 
@@ -182,7 +181,7 @@ class Barrier(Law):
 
 @by_law
 def thermal(law: Any) -> bool:
-    """Whether heat breaks contacts."""
+    """True if heat breaks contacts."""
     return True
 
 
@@ -201,20 +200,20 @@ def height_slope(law: Any, xi: float, x: float, a: float) -> float:
 
 @by_law
 def prefactor(law: Any, xi: float, x: float) -> float:
-    """p."""
+    """Prefactor p of the rate."""
     return 1.0
 
 
 @by_law
 def path_step(law: Any) -> float:
-    """Share of the usual step that the path of a fluctuating threshold may take."""
+    """Factor on the usual step of the path of a fluctuating threshold."""
     return 1.0
 
 
 @by_law
 def stretch(law: Any, table: Array, xi: float, k: float, clock: float) -> float:
-    """Where a contact of threshold `xi` and relative stiffness `k` breaks whose
-    clock shows `clock`."""
+    """Stretch at which a contact breaks, born unstressed with threshold `xi`, relative
+    stiffness `k` and exponential clock `clock`."""
     return _carried(law, xi, k, 0.0, xi, clock, 1.0)
 
 
@@ -242,9 +241,9 @@ def rate(law: Any, xi: float, k: float, x: float) -> float:
 
 @by_law
 def onward(law: Any, c: Any, xi: float, k: float, y: float, clock: float) -> float:
-    """How far a contact of threshold `xi` and relative stiffness `k` is carried
-    from stretch 0 < y < xi before it breaks, whose clock has `clock` left; to 1e-8 of
-    itself, however short. `c` holds the tables."""
+    """Travel of a contact of threshold `xi` and relative stiffness `k` from stretch 0 <
+    y < xi until it breaks, with `clock` left of its clock; to 1e-8 of itself, however
+    short. `c` is an `engine.contacts.Contacts`, for its tables."""
     return _carried(law, xi, k, y, xi - y, clock, 1.0)
 
 
@@ -252,8 +251,8 @@ def onward(law: Any, c: Any, xi: float, k: float, y: float, clock: float) -> flo
 def back(
     law: Any, c: Any, xi: float, k: float, y: float, clock: float
 ) -> tuple[float, float]:
-    """How far it is carried from stretch -y < 0 before it breaks, up to stretch 0, and
-    what the clock has left there, less than 0 if it breaks before."""
+    """Travel from stretch -y < 0 until the contact breaks, at most to 0, and the rest
+    of its clock there, negative if it breaks before; arguments as in `onward`."""
     left = clock - hazard(law, c.hazard_table, xi, k, y)
     return (y, left) if left >= 0.0 else (_carried(law, xi, k, y, y, clock, -1.0), -1.0)
 
@@ -301,9 +300,9 @@ def _averaged(law: Any, xi: float, k: float, x: float, length: float) -> float:
 def _carried(
     law: Any, xi: float, k: float, y: float, most: float, clock: float, sign: float
 ) -> float:
-    """How far a contact is carried from stretch y, on (`sign` 1) or back (-1), before
-    its hazard is `clock`; `most` if it is less until there. Newton's method for its
-    logarithm, in a bracket."""
+    """Travel from stretch y, away from 0 (`sign` 1) or towards it (-1), until the
+    hazard of the travel is `clock`; at most `most`. Newton's method for the logarithm
+    of the hazard, in a bracket."""
     if _averaged(law, xi, k, min(y, y + sign * most), most) * most <= clock:
         return most
     bracket, now = Bracket(0.0, most), rate(law, xi, k, y)
@@ -322,7 +321,7 @@ def _carried(
 
 @routine
 def travel(c: Any, xi: float, k: float, y: float, clock: float) -> float:
-    """How far a contact born at stretch y is carried before it breaks; `c` is an
+    """Travel of a contact born at stretch y until it breaks; `c` is an
     `engine.contacts.Contacts`."""
     if y > 0.0:
         return onward(c.barrier, c, xi, k, y, clock)

@@ -66,13 +66,13 @@ _FINER_TRAPEZOID = 0.06
 # The left end in u, where the gap between threshold and stretch is negligible.
 _LEFT_END = -3.7
 
-# Panels of other laws. Exponents of the barrier where they end, were xi' near y or far.
+# Panels of other laws end where E has these values, approximated for xi' near y or far.
 _EXPONENTS = np.array(
     [1e-3, 0.05, 0.5, 2.0, 5.0, 10.0, 18.0, 28.0, 45.0, 80.0, 140.0, 200.0, 280.0]
 )
-# Distances from the ends of the support where they end.
+# Distances from the ends of the support where they end, too.
 _NEAR_ENDS = 10.0 ** np.arange(-13.0, 0.0)
-# -ln of the shares of weak contacts that they separate: the density may rise steeply.
+# -ln of the shares of weak contacts between which they end: densities may be steep.
 _WEAK = math.log(10.0) * np.array(
     [8.0, 10.0, 12.0, 14.0, 17.0, 25.0, 37.0, 55.0, 80.0, 120.0, 180.0, 270.0]
 )
@@ -238,7 +238,7 @@ def pooled_hazard(
     linear = 1e-2 * min(1.0, 1.0 / b)  # G is nearly proportional to y up to here
     first = min([1e-14, *_steep(law)[:1]]) if low == 0 else 1e-14
     nodes = [np.geomspace(first, linear, 200), np.linspace(0.0, top, 1500)]
-    # of rates that are not constant
+    # further nodes where the rate is not constant near 0
     nodes.append(4.0 ** np.arange(math.log(first, 4.0), math.log(1e-14, 4.0), 0.125))
     nodes.append(np.geomspace(linear, top, math.ceil(math.log(top / linear) / 0.01)))
     if low > 0:
@@ -332,8 +332,8 @@ def mean_hazard(
 
 
 def _monotone(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
-    """From h just left and right of each node: drop nodes that cannot be told apart,
-    and keep the interpolant monotone (Fritsch and Carlson)."""
+    """Interpolate G from h just left and right of each node: drop nodes that cannot be
+    told apart, and keep the interpolant monotone (Fritsch and Carlson)."""
     keep = np.append(True, np.diff(G) > 0) & (G > 1e-290)
     x, G = x[keep], G[keep]
     # the logarithms of neighbours may be the same

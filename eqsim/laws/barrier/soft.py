@@ -1,4 +1,4 @@
-"""Soft barrier: the energy that a parabolic well is short of at the threshold,
+"""Soft barrier: the elastic energy that a contact lacks at its threshold,
 
     r = exp(-a (xi^2 - x^2)),    H = exp(-a xi^2) sqrt(pi)/(2 sqrt(a)) erfi(sqrt(a) x)
 
@@ -130,8 +130,8 @@ def _excess(xi: float, root: float, log_w: float) -> float:
 
 @routine(inline=True)
 def _odds(xi: float, root: float, log_w: float, clock: float) -> float:
-    """erfi(root x) of the x where (omega/v) H(x) = clock, but for what of the barrier
-    is beyond FLAT."""
+    """erfi(root x) of the x where (omega/v) H(x) = clock, with the exponent cut at
+    FLAT."""
     return _SOFT * clock * root * bounded_exp(min(_excess(xi, root, log_w), FLAT))
 
 
@@ -143,8 +143,8 @@ def _rank(xi: float, root: float, log_w: float, odds: float) -> float:
 
 @routine(inline=True)
 def _end(xi: float, per_root: float, z: float) -> float:
-    """Where a soft contact breaks, z = root x; per_root = 1/root. Past the table it is
-    xi, to double precision."""
+    """Stretch x = z per_root at which a soft contact breaks, per_root = 1/root; past
+    the table it is xi, to double precision."""
     return min(xi, z * per_root + (math.inf if z > 1e9 else 0.0))
 
 
@@ -196,8 +196,8 @@ def _hazard(law: Soft, table: Array, xi: float, k: float, x: float) -> float:
 def _mean_rate(
     law: Soft, table: Array, xi: float, k: float, x: float, length: float
 ) -> float:
-    """Where it is short by its series about the middle: of the mean of exp(p t + q t^2)
-    over -1 < t < 1 (derived)."""
+    """Expand short lengths about the middle: mean of exp(p t + q t^2) over -1 < t < 1
+    (derived)."""
     middle = x + 0.5 * length
     p, q = (law.b * k * middle * length, 0.25 * law.b * k * length * length)
     if p > 0.25 or q > 0.004:
@@ -239,7 +239,7 @@ def _log_ticks(law: Soft, xi: float, a: float, y: float, clock: float) -> float:
 
 @routine(inline=True)
 def _short(z: float, ticks: float) -> float:
-    """s where (2|z| + 1) T < 1e-4, z of any sign."""
+    """s to third order in T, (2|z| + 1) T < 1e-4, z of any sign."""
     return ticks * (1.0 + ticks * (-z + ticks * (4.0 * z * z - 1.0) / 3.0))
 
 
@@ -252,7 +252,7 @@ def _onward(law: Soft, c: Any, xi: float, k: float, y: float, clock: float) -> f
     if (2.0 * z + 1.0) * ticks < 1e-4:
         s = _short(z, ticks)
     else:
-        # not less than it is
+        # an upper bound, to begin with
         s = math.log1p(2.0 * z * ticks) / (2.0 * z) if z > 1e-8 else ticks
         if s * (2.0 * z + s) < 1.0:
             for _ in range(5):  # Newton

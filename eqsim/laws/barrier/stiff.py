@@ -1,4 +1,4 @@
-"""Stiff barrier: the energy that is left near the top of a well that tilts,
+"""Stiff barrier: that of a tilted well, close to the force that removes it,
 
     r = sqrt(1 - x/xi) exp(-a xi^2 (1 - x/xi)^(3/2)),
     H = 2/(3 a xi) (exp(-a xi^2 (1 - x/xi)^(3/2)) - exp(-a xi^2))
@@ -69,8 +69,8 @@ class Stiff(Numbers, Barrier):
 
 @routine(inline=True)
 def _odds(xi: float, a: float, log_w: float, clock: float) -> float:
-    """exp(a xi^2 (1 - (1 - x/xi)^(3/2))) - 1 of the x where (omega/v) H(x) = clock, but
-    for what of the barrier is beyond FLAT."""
+    """exp(a xi^2 (1 - (1 - x/xi)^(3/2))) - 1 of the x where (omega/v) H(x) = clock,
+    with the exponent cut at FLAT."""
     return 1.5 * a * xi * clock * bounded_exp(min(a * xi * xi - log_w, FLAT))
 
 
@@ -83,7 +83,7 @@ def _spent(xi: float, a: float, log_w: float, odds: float) -> float:
 
 @routine(inline=True)
 def _end(xi: float, spent: float) -> float:
-    """Where a stiff contact breaks."""
+    """Stretch at which a stiff contact breaks."""
     q = two_thirds_power(max(1.0 - spent, 1e-17))
     x = xi * spent * (2.0 - spent) / (1.0 + q + q * q)  # 1 - q without cancellation
     return min(x, xi) if spent < 1.0 else xi
@@ -151,8 +151,8 @@ def _mean_rate(
 
 @base.onward.register(Stiff)
 def _onward(law: Stiff, c: Any, xi: float, k: float, y: float, clock: float) -> float:
-    """As a contact of threshold xi - y at rest whose barrier is the one that is left at
-    y (derived)."""
+    """Travel of an unstretched contact of threshold xi - y with the barrier that is
+    left at y (derived)."""
     a, gap = law.b * k, xi - y
     left = gap / xi
     barrier = max(a * xi * xi * left * math.sqrt(left), 1e-300)
