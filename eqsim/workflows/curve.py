@@ -1,4 +1,4 @@
-"""Exact curves of a run file: the mean force and the pinned fraction on the way, as
+"""Exact curves of a run file: mean force and pinned fraction along the drive, as
 columns."""
 
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,7 @@ with lazily():
 
 
 _SHOWN = ("t", "X", "stage", "force", "force_error", "pinned", "pinned_error")
-_CURVE_PARTS = 10  # of the curve at whose ends it is shown
+_CURVE_PARTS = 10  # intervals between the rows that a table shows
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class CurveResult(FileResult):
             )
 
     def notes(self) -> Iterator[str]:
-        yield "columns end in _error: bound of the solver's"
+        yield "columns ending in _error: bounds of the numerical error"
 
     def title(self, name: str) -> str:
         return self.file.title or name

@@ -78,7 +78,7 @@ class RunResult(SimulatedFile):
         """The static peak of the exact mean, if there is one."""
         if self.peak is None:
             return None
-        return if_any(lambda: first_peak(self.ensemble, self.drive.velocity))[0]
+        return if_any(lambda: first_peak(self.ensemble, self.drive.velocity)).solution
 
     def _peaks(self) -> dict[str, Any]:
         """The static peak and the exact one for JSON; empty for a stationary start."""
@@ -116,7 +116,7 @@ class RunResult(SimulatedFile):
     def figures(self, title: str) -> dict[str, Any]:
         """The force against displacement beside the exact mean and the steady value."""
         caption = panels.Caption.of(self.file, title, self.steady.friction.value)
-        draw, exact = runs.trajectory_figure, self.exact[0]
+        draw, exact = runs.trajectory_figure, self.exact.solution
         return {"force": draw(self.trajectory, self.steady, exact, caption)}
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
@@ -189,7 +189,7 @@ class ProgrammeResult(SimulatedFile):
     @cached_property
     def exact_segments(self) -> tuple[SegmentRecord, ...]:
         """Segments of the exact mean, as those of the run; empty if there is none."""
-        exact = self.exact[0]
+        exact = self.exact.solution
         if exact is None:
             return ()
         # behind a spring the X of the grid is the stage's, that of the solution the
@@ -221,7 +221,7 @@ class ProgrammeResult(SimulatedFile):
         level = float(np.abs(self.trajectory.force).max())
         caption = panels.Caption.of(self.file, title, level)
         draw = runs.programme_figure
-        return {"force": draw(self.trajectory, self.exact[0], caption)}
+        return {"force": draw(self.trajectory, self.exact.solution, caption)}
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
         """Force at the end and at the peak of each segment, as a quantity of the
@@ -282,7 +282,8 @@ class SliderResult(ProgrammeResult):
         """Forces and displacements of slider and stage."""
         level = float(np.abs(self.trajectory.spring).max())
         caption = panels.Caption.of(self.file, title, level)
-        return {"force": runs.slider_figure(self.trajectory, self.exact[0], caption)}
+        draw = runs.slider_figure
+        return {"force": draw(self.trajectory, self.exact.solution, caption)}
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
         """Each slip, and the mean period and drop, which leave out the first."""
