@@ -204,8 +204,8 @@ def sampled(
     ensemble: Ensemble, drive: Drive, points: int, lives: float, seed: int, threads: int
 ) -> SampledCovariance:
     """Estimate the autocovariance at `points` lags up to the drive's distance, from
-    independent stationary ensembles over twice that distance. Forces are multiplied
-    less their exact mean, so that the products have no bias.
+    independent stationary ensembles over twice that distance. Products are of forces
+    less their exact mean: that of the sample would bias them.
 
     Raises InputError where an ensemble cannot be simulated so.
     """
@@ -214,8 +214,8 @@ def sampled(
     small = replace(ensemble, count=_TOGETHER)
     long = replace(drive, distance=2.0 * drive.over(ensemble), start="stationary")
     wanted = max(lives / predicted_lives(small, long), _FEWEST_ENSEMBLES)
-    fitting_memory = 1e7 // (2 * points)
-    ensembles = int(min(wanted, _MOST_ENSEMBLES, fitting_memory))
+    affordable = 1e7 // (2 * points)
+    ensembles = int(min(wanted, _MOST_ENSEMBLES, affordable))
     how: dict[str, Any] = {"seed": seed, "replicas": ensembles, "threads": threads}
     run = trajectory(small, long, points=2 * points - 1, **how)
     assert run.force_replicas is not None
