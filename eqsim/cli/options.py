@@ -125,7 +125,7 @@ class Shown:
 # Sentences below the help of commands, about words of their tables, columns and JSON.
 Z = "z: difference from the expected value in standard errors, both errors in quadrature."
 STDERR = "stderr: statistical standard error of a simulated value."
-ERROR = "error: bound of the error of the numerical solution."
+ERROR = "error: bound of the error of a numerical solution."
 
 
 def complain(message: str) -> None:

@@ -1,5 +1,5 @@
-"""What a fit leaves behind: fit.json, tables, pictures, and the run file of the best
-fit; and what is printed of it."""
+"""Results of a fit: fit.json, tables, pictures, the run file of the best fit, and lines
+that are printed."""
 
 import json
 import math
@@ -28,15 +28,15 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
     """The content of fit.json."""
     values = result.problem.values
     parameters = {}
-    for one in result.intervals:
-        known = one._asdict()
+    for interval in result.intervals:
+        known = interval._asdict()
         ends = {f"interval_{name}": x for name, x in known.pop("intervals").items()}
         parameters[known.pop("key")] = {**known, **ends}
     starts, minima = (
-        [{**one._asdict(), "values": values(one.u)} for one in found]
-        for found in (result.minima, different(result.minima))
+        [{**minimum._asdict(), "values": values(minimum.u)} for minimum in several]
+        for several in (result.minima, different(result.minima))
     )
-    found = {
+    content = {
         "title": result.file.title,
         "parameters": parameters,
         **result.goodness._asdict(),
@@ -45,13 +45,13 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
         "loss": result.fit.loss,
         "measurements": result.table.value.size,
         "covariance": {"keys": result.problem.keys, "matrix": result.covariance},
-        "starts": [_of(one, "chi2", "converged", "solves", "values") for one in starts],
-        "minima": [_of(one, "chi2", "values") for one in minima],
+        "starts": [_pick(x, "chi2", "converged", "solves", "values") for x in starts],
+        "minima": [_pick(x, "chi2", "values") for x in minima],
         "eigenvalues": [
             {
                 "value": rung.eigenvalue,
                 "direction": rung.name,
-                **_of(rung._asdict(), "ratio", "sd", "components"),
+                **_pick(rung._asdict(), "ratio", "sd", "components"),
             }
             for rung in result.ladder
         ],
@@ -63,16 +63,16 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
         "data_sha256": result.table.sha256,
         "versions": storage.versions(),
     }
-    return found if sampled is None else {**found, "posterior": sampled.summary()}
+    return content if sampled is None else {**content, "posterior": sampled.summary()}
 
 
-def _of(given: dict[str, Any], *names: str) -> dict[str, Any]:
+def _pick(given: dict[str, Any], *names: str) -> dict[str, Any]:
     return {name: given[name] for name in names}
 
 
 def fitted(result: FitResult) -> dict[str, Any]:
-    """Columns of fitted.parquet, one measurement a row: where it was made, what was
-    found, and the fit."""
+    """Columns of fitted.parquet, one measurement a row: its conditions, its value, and
+    the fit."""
     table, problem = result.table, result.problem
     rows = [table.rows[row] for row in table.row]
     columns: dict[str, Any] = {
@@ -118,8 +118,8 @@ def _fit_origin(result: FitResult) -> dict[str, Any]:
 
 
 def write(result: FitResult, out: Path, title: str = "") -> list[str]:
-    """Write a results folder; the names of its files. Draws from the posterior of
-    another fit are removed."""
+    """Write a results folder; returns the names of its files. Draws from the posterior
+    of another fit are removed."""
     origin, title = _fit_origin(result), result.file.title or title
     files = {
         "fit.json": storage.to_json(summary(result)).encode(),
@@ -139,14 +139,14 @@ def write(result: FitResult, out: Path, title: str = "") -> list[str]:
 def write_posterior(
     result: FitResult, sampled: Posterior, out: Path, title: str = ""
 ) -> list[str]:
-    """Add draws from the posterior to a results folder; the names of the new files."""
+    """Add draws from the posterior to a results folder; returns names of new files."""
     figure = pictures.posterior_figure(sampled, result.file.title or title)
     files = {
         "posterior.parquet": storage.parquet(sampled.columns, _fit_origin(result)),
         "posterior.png": saved(figure),
     }
-    said = storage.to_json(summary(result, sampled)).encode()
-    storage.publish(out, {**files, "fit.json": said})
+    content = storage.to_json(summary(result, sampled)).encode()
+    storage.publish(out, {**files, "fit.json": content})
     return list(files)
 
 
@@ -176,7 +176,7 @@ def run_toml(result: FitResult, out: Path) -> str:
 
 def to_toml(data: dict[str, Any]) -> Iterator[str]:
     """Lines of a run file with this content: values, then sections."""
-    sections = {key: part for key, part in data.items() if isinstance(part, dict)}
+    sections = {key: value for key, value in data.items() if isinstance(value, dict)}
     for key, value in data.items():
         if key not in sections:
             yield f"{key} = {_toml(value)}"
@@ -206,10 +206,10 @@ def _toml(value: Any) -> str:
 
 
 def rows(result: FitResult) -> Iterator[tuple[str, ...]]:
-    """What is printed of each key."""
-    for one in result.intervals:
-        ends = [_range(*one.intervals[name]) for name in ("68", "95")]
-        yield one.key, f"{one.estimate:.4g}", *ends, one.status
+    """Rows of the printed table, one key each."""
+    for known in result.intervals:
+        ends = [_range(*known.intervals[name]) for name in ("68", "95")]
+        yield known.key, f"{known.estimate:.4g}", *ends, known.status
 
 
 def _range(low: float | None, high: float | None) -> str:
@@ -224,8 +224,8 @@ def _range(low: float | None, high: float | None) -> str:
 
 
 def remarks(result: FitResult) -> Iterator[str]:
-    """What needs to be said besides: how good the fit is, what else is determined, and
-    what is not."""
+    """Lines below the table: how good the fit is, what else is determined, and what is
+    not."""
     yield quality("this model", result.goodness)
     if not result.converged:
         yield "NO START CONVERGED: these are no estimates"
@@ -241,8 +241,8 @@ def remarks(result: FitResult) -> Iterator[str]:
         yield f"errors of {size} points: {said}, worth {effective:.0f} independent ones"
     minima, count = different(result.minima), len(result.minima)
     if len(minima) > 1:
-        found = ", ".join(f"{one.chi2:.4g}" for one in minima[:5])
-        yield f"{len(minima)} minima among {count} starts, chi-square {found}"
+        values = ", ".join(f"{minimum.chi2:.4g}" for minimum in minima[:5])
+        yield f"{len(minima)} minima among {count} starts, chi-square {values}"
     best = result.ladder[0]
     yield f"best determined: {best.name}, to {best.sd:.2g}"
     for rung in result.ladder:
@@ -269,7 +269,7 @@ def remarks(result: FitResult) -> Iterator[str]:
 
 
 def drawn(sampled: Posterior) -> Iterator[str]:
-    """What draws from the posterior say."""
+    """Lines about draws from the posterior."""
     times = sampled.steps / sampled.autocorrelation
     long = f"{sampled.steps} steps, {times:.0f} autocorrelation times"
     if not sampled.converged:
@@ -280,12 +280,12 @@ def drawn(sampled: Posterior) -> Iterator[str]:
         f"prior ({long}, worth"
     )
     yield (
-        f"{sampled.effective:.0f} independent draws: the 2.5 % beyond an end are known "
-        f"to {100 * sampled.doubt:.1f}):"
+        f"{sampled.effective:.0f} independent draws; of the 2.5 % beyond an end the "
+        f"error is {100 * sampled.doubt:.1f} %):"
     )
-    for key, one in sampled.intervals.items():
-        inner, outer = _range(*one["68"]), _range(*one["95"])
-        yield f"  {key}: median {one['median']:.4g}, 68 % {inner}, 95 % {outer}"
+    for key, known in sampled.intervals.items():
+        inner, outer = _range(*known["68"]), _range(*known["95"])
+        yield f"  {key}: median {known['median']:.4g}, 68 % {inner}, 95 % {outer}"
 
 
 def quality(name: str, good: Goodness) -> str:
