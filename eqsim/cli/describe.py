@@ -112,10 +112,10 @@ def _material(name: str, changes: dict[str, Any]) -> "materials.Material":
         )
     for key, value in changes.items():
         *sections, last = key.split(".")
-        place = constants
+        table = constants
         for section in sections:
-            place = place.setdefault(section, {})
-            if not isinstance(place, dict):
+            table = table.setdefault(section, {})
+            if not isinstance(table, dict):
                 raise InputError(f"{key}: {section} is not a section")
-        place[last] = value
+        table[last] = value
     return materials.from_constants(constants, Path(name).stem)

@@ -107,7 +107,7 @@ class Shown:
 
     def result(
         self,
-        found: "results.FileResult",
+        result: "results.FileResult",
         name: str,
         out: Path | None = None,
         formats: tuple[str, ...] = ("png",),
@@ -116,10 +116,10 @@ class Shown:
         if given."""
         more = []
         if out is not None:
-            files = found.files(name, formats)
+            files = result.files(name, formats)
             storage.publish(out, files)
-            more = [f"{out}/: {found.written(list(files))}"]
-        found.report(name, *more).show(self.json, self.quiet)
+            more = [f"{out}/: {result.written(list(files))}"]
+        result.report(name, *more).show(self.json, self.quiet)
 
 
 # Sentences below the help of commands, about words of their tables, columns and JSON.
@@ -189,7 +189,8 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     ]
     call.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
     call.__annotations__ = {option.name: option.annotation for option in options}
-    call.__doc__ = escape(inspect.cleandoc(command.__doc__ or ""))
+    text = escape(inspect.cleandoc(command.__doc__ or ""))
+    call.__doc__ = re.sub(r"(?<!\n)\n(?!\n)", " ", text)  # typer keeps ends of lines
     return call
 
 

@@ -25,8 +25,8 @@ _POINT_ERROR = "Relative standard error of all observables."
 _SECOND_HALF = "Second half of the run's distance instead of steady averages."
 _CLUSTER = "Scheduler (or its file) of a dask.distributed cluster to compute on."
 _DATASET = "Folder of the dataset; the same command continues it."
-_THREADS = "Threads per process. Default: cores that are left."
-_PointLives = Option(help="Most lives per point.", show_default="1e10")
+_THREADS = "Threads per process. Default: cores shared among processes."
+_PointLives = Option(help="Refuse points that need more lives.", show_default="1e10")
 
 
 @dataclass(frozen=True)

@@ -90,11 +90,11 @@ def validation_figure(result: "Validation") -> Figure:
     scores = [score.z for score in result.scores]
     z = np.clip(scores, -_FARTHEST, _FARTHEST)
     disorder = np.array([score.ensemble.disorder for score in result.scores])
-    beside = np.random.default_rng(0).uniform(-0.3, 0.3, z.size)
+    jitter = np.random.default_rng(0).uniform(-0.3, 0.3, z.size)
     for name, color, marker in (("quenched", "C0", "o"), ("annealed", "C1", "^")):
-        here = disorder == name
+        members = disorder == name
         look: dict[str, Any] = {"color": color, "marker": marker, "alpha": 0.6}
-        left.scatter((column + beside)[here], z[here], s=9, label=name, **look)
+        left.scatter((column + jitter)[members], z[members], s=9, label=name, **look)
     said = {True: "passed", False: "FAILED"}
     names = [
         f"{v.kind.replace('_', ' ')}, {v.count}: {said[v.passed]}"

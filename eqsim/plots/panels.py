@@ -54,9 +54,11 @@ class Caption(NamedTuple):
         label = with_unit(text, unit_text(self.units, LENGTH))
         return label if self.units.length else label.replace("  [", "\n[")
 
-    def unit(self, text: str, of: Dimension = LENGTH, *, unknown: bool = False) -> str:
+    def unit(
+        self, text: str, dimension: Dimension = LENGTH, *, unknown: bool = False
+    ) -> str:
         """Label with a unit; without one if that is not known, unless `unknown`."""
-        return with_unit(text, unit_text(self.units, of, unknown))
+        return with_unit(text, unit_text(self.units, dimension, unknown))
 
     @property
     def band(self) -> str:

@@ -241,21 +241,21 @@ def curve_figure(columns: dict[str, Array], along: str, caption: Caption) -> Fig
     heights = [2.4] + [1.3] * (len(names) - 1)
     figure = Figure(figsize=(8, 1.2 + 1.2 * sum(heights)))
     grid: dict[str, Any] = {"sharex": True, "squeeze": False}
-    every = figure.subplots(len(names), 1, height_ratios=heights, **grid)[:, 0]
+    panels = figure.subplots(len(names), 1, height_ratios=heights, **grid)[:, 0]
     x = columns[along]
-    for axes, name in zip(every, names, strict=True):
+    for axes, name in zip(panels, names, strict=True):
         line = {"linewidth": 1.2, "label": "slider"}
         draw_band(axes, x, columns[name], columns[f"{name}_error"], **line)
         axes.set(ylabel=labels[name], xlim=(x[0], x[-1]))
         if name == "pinned":
             axes.set_ylim(0, 1.05)
     if columns["force"][0] == 0 <= columns["force"].min():
-        every[0].set_ylim(bottom=0)
+        panels[0].set_ylim(bottom=0)
     if "stage" in columns:
-        every[-1].plot(x, columns["stage"], color="C3", label="stage")
-        every[-1].legend(loc="upper left")
-    every[0].set_title(caption.heading)
-    caption.beside(every[0])
-    every[-1].set_xlabel(caption.along("time" if along == "t" else along))
-    figure.align_ylabels(list(every))
+        panels[-1].plot(x, columns["stage"], color="C3", label="stage")
+        panels[-1].legend(loc="upper left")
+    panels[0].set_title(caption.heading)
+    caption.beside(panels[0])
+    panels[-1].set_xlabel(caption.along("time" if along == "t" else along))
+    figure.align_ylabels(list(panels))
     return figure

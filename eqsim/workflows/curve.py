@@ -68,11 +68,11 @@ def curve(file: RunFile, *, closure: bool = False) -> CurveResult:
     """The exact mean of a run (`master.transient`), or the closure of annealed contacts
     that age (`master.closure`). Raises InputError where there is no such curve."""
     ensemble, points = file.ensemble, file.output.points
-    found: Any = (
+    solved: Any = (
         solve_closure(ensemble, file.constant_drive, points)
         if closure
         else transient(ensemble, file.drive, points)
     )
-    every = {field.name: getattr(found, field.name) for field in fields(found)}
-    known = {name: column for name, column in every.items() if column is not None}
+    columns = {field.name: getattr(solved, field.name) for field in fields(solved)}
+    known = {name: column for name, column in columns.items() if column is not None}
     return CurveResult(file, "closure" if closure else "transient", known)

@@ -70,7 +70,7 @@ class ElasticResult(SimulatedFile):
         have no value for a discrete law, whose equal thresholds break together from a
         fresh start on.
         """
-        found, elastic = self.trajectory, self.elastic
+        run, elastic = self.trajectory, self.elastic
         size = single = Estimate(None, None, 0, reliable=False)
         if self.sizes.size:
             contacts = elastic.contacts_per_block(self.ensemble.count)
@@ -78,7 +78,7 @@ class ElasticResult(SimulatedFile):
             size = Estimate(elastic.mean_size, abs(few.mean), 0)
             single = Estimate(float(self.sizes[0]), abs(few.single), 0)
         exact = {"friction": self.friction, "size": size, "single": single}
-        return {name: (getattr(found, name), known) for name, known in exact.items()}
+        return {name: (getattr(run, name), value) for name, value in exact.items()}
 
     def summary(self) -> dict[str, Any]:
         run, averages = self.trajectory, self.averages()
@@ -95,9 +95,9 @@ class ElasticResult(SimulatedFile):
         }
 
     def tables(self) -> dict[str, Any]:
-        found = self.trajectory
-        more = {"avalanches": found.avalanches, "blocks": found.blocks}
-        return {"trajectory": found.columns(), **more}
+        run = self.trajectory
+        more = {"avalanches": run.avalanches, "blocks": run.blocks}
+        return {"trajectory": run.columns(), **more}
 
     def figures(self, title: str) -> dict[str, Any]:
         run = self.trajectory

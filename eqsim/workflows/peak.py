@@ -14,7 +14,7 @@ _PLATEAU = 0.25  # share of the window over which a reliable maximum may extend
 _KINK = 0.05  # share of its height by which a reliable maximum may be missed
 
 
-def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | None:
+def static_peak(ensemble: Ensemble, drive: Drive, run: Trajectory) -> Peak | None:
     """The first maximum of the force of a run after a fresh start, within four rms
     thresholds, with standard errors; without values where no maximum is seen, and None
     for a stationary start, which has no peak. The grid of the run needs several points
@@ -23,13 +23,13 @@ def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | N
     if drive.start == "stationary":
         return None
     period = ensemble.thresholds.rms
-    size = int(np.searchsorted(found.X, PEAK_WINDOW * period, side="right"))
+    size = int(np.searchsorted(run.X, PEAK_WINDOW * period, side="right"))
     X, force, stderr = (
-        column[:size] for column in (found.X, found.force, found.force_stderr)
+        column[:size] for column in (run.X, run.force, run.force_stderr)
     )
     top = top_of(X, force, 2.0 * stderr, period)
     if not 0 < top < size - 1:
-        none = Estimate(None, None, found.lives, reliable=False)
+        none = Estimate(None, None, run.lives, reliable=False)
         return Peak(none, none)
     error = float(stderr[top])
     fallen = np.flatnonzero(force < force[top] - 4.0 * error)
@@ -49,9 +49,9 @@ def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | N
     spread = max(place.stderr or 0.0, 0.5 * extent, beside)
     error = math.hypot(error, missed)
     # on a longer plateau the largest of many noisy values is too large
-    reliable = found.force_reliable and extent < _PLATEAU * PEAK_WINDOW * period
+    reliable = run.force_reliable and extent < _PLATEAU * PEAK_WINDOW * period
     reliable &= missed < _KINK * height  # else a later one may be higher between points
-    lives = found.lives
+    lives = run.lives
     return Peak(
         Estimate(where, spread, lives, None, reliable),
         Estimate(height, error, lives, None, reliable),

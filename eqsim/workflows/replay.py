@@ -145,14 +145,14 @@ def _replayed_table(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, Or
             return table.to_pandas(), origin
     except (*_UNREADABLE, pyarrow.ArrowException):
         command = None
-    said = "is not a Parquet file that eqsim has written, or is damaged"
+    problem = "is not a Parquet file that eqsim has written, or is damaged"
     if command == "figures":
         again = "`python -m analysis.figures --replay` makes it again"
-        said = f"holds a figure of the paper; {again}"
+        problem = f"holds a figure of the paper; {again}"
     elif isinstance(command, str):
         only = f"only tables of {known} can be replayed"
-        said = f"was written by `eqsim {command}`; {only}"
-    raise InputError(f"{path}: {said}")
+        problem = f"was written by `eqsim {command}`; {only}"
+    raise InputError(f"{path}: {problem}")
 
 
 def compare(table: Table, again: Table) -> dict[str, tuple[int, float | None]]:
@@ -178,7 +178,7 @@ def _run(origin: Origin, table: Table, workers: int, progress: Progress) -> Tabl
     file = stored(origin["settings"], origin["folder"])
     result = run(file, threads=workers, max_lives=1e300, progress=progress)
     names = set(table)
-    return max(result.tables().values(), key=lambda one: len(names & set(one)))
+    return max(result.tables().values(), key=lambda columns: len(names & set(columns)))
 
 
 def _reference(origin: Origin, table: Table, _: int, progress: Progress) -> Table:

@@ -371,7 +371,7 @@ def run(
         return run_elastic(
             file, drive, threads=threads, max_lives=max_lives, progress=progress
         )
-    many: dict[str, Any] = {"seed": output.seed, "replicas": output.replicas}
+    draws: dict[str, Any] = {"seed": output.seed, "replicas": output.replicas}
     rough = 5e-3 if ensemble.fluctuates else 1e-3  # lives with paths cost more
     with ExitStack() as stack:
         expected = check_run(ensemble, drive, output, max_lives)
@@ -389,7 +389,7 @@ def run(
                 ensemble, drive, rel_error=rough, seed=output.seed, threads=threads, max_lives=max_lives
             )  # fmt: skip
         simulated: Any = trajectory(
-            ensemble, drive, points=output.points, **many, max_lives=max_lives,
+            ensemble, drive, points=output.points, **draws, max_lives=max_lives,
             threads=(pool.executor, pool.slots()) if pool else threads,
             progress=lambda lives: progress(lives, expected),
         )  # fmt: skip
@@ -397,7 +397,7 @@ def run(
     if isinstance(drive, Drive):
         assert level
         listed = (
-            breaks(ensemble, drive, **many, threads=threads) if output.breaks else None
+            breaks(ensemble, drive, **draws, threads=threads) if output.breaks else None
         )
         return RunResult(file, level, simulated, listed, who)
     kind = SliderResult if drive.stage else ProgrammeResult
