@@ -246,12 +246,10 @@ class ProgrammeResult(SimulatedFile):
 
     def notes(self) -> Iterator[str]:
         for index, segment in enumerate(self.trajectory.segments[:_MOST_LINES]):
-            if segment.step:
-                effects = ", ".join(
-                    f"{name} {getattr(segment.step, name)}"
-                    for name in ("direct", "evolution", "memory")
-                )
-                yield f"velocity step of segment {index}, effects per ln v and length: {effects}"
+            step = segment.step
+            if step:
+                effects = f"direct {step.direct}, evolution {step.evolution} per ln v"
+                yield f"velocity step of segment {index}: {effects}; memory length {step.memory}"
         yield from self.doubts()
         yield from self.speed()
 
