@@ -10,16 +10,16 @@ from typing import Any
 
 
 class _Lazy:
-    """Finds modules of eqsim where Python does."""
+    """Finder of eqsim's modules that delays their loading."""
 
     @staticmethod
     def find_spec(name: str, path: Any, target: Any = None) -> ModuleSpec | None:
-        found = (
-            PathFinder.find_spec(name, path) if path and name[:6] == "eqsim." else None
-        )
-        if found and found.loader:
-            found.loader = LazyLoader(found.loader)
-        return found
+        if not path or name[:6] != "eqsim.":
+            return None
+        spec = PathFinder.find_spec(name, path)
+        if spec and spec.loader:
+            spec.loader = LazyLoader(spec.loader)
+        return spec
 
 
 @contextmanager

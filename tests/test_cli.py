@@ -322,11 +322,11 @@ def test_bad_input(run_file, args, message):
         ),
         (
             ["material", "steel", "--velocity", "1"],
-            "--velocity 1.0: is of the run file that --toml prints",
+            "--velocity 1.0: is for the run file that --toml prints",
         ),
         (
             ["material", "steel", "--disorder", "x"],
-            "--disorder x: is of the run file that --toml prints",
+            "--disorder x: is for the run file that --toml prints",
         ),
     ],
 )

@@ -264,8 +264,8 @@ def test_a_slip_that_is_not_over_is_listed(path, tmp_path):
     assert whole.ended
     assert 0.3 * whole.drop < last["drop"] < 0.9 * whole.drop
     shown = " ".join(done.output.split())
-    assert "the record begins in the midst of slip 0: drop" in shown
-    assert "the record ends in the midst of slip 1: drop" in shown
+    assert "the record begins during slip 0: drop" in shown
+    assert "the record ends during slip 1: drop" in shown
     assert "> 0." in shown
 
 

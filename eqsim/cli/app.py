@@ -1,4 +1,4 @@
-"""The command line: its commands, and what becomes of errors."""
+"""The command line: its commands, and how errors end it."""
 
 import io
 import os
@@ -30,14 +30,14 @@ class _Commands(TyperGroup):
             code = super().main(*args, **kwargs)
         except _UsageError as error:
             said = error.format_message().removesuffix(".")
-            # typer's, which do not tell the value
+            # typer's messages, which do not tell the value
             for problem in getattr(error.__cause__, "errors", list)():
                 must = f"{shown(problem['input'])} must be"
                 said = said.replace("Input should be", must)
             command = error.ctx.command_path if error.ctx else "eqsim"
             complain(f"{said}; see `{command} --help`")
             code = 2
-        except SystemExit as error:  # rich's, if the reader has left
+        except SystemExit as error:  # raised by rich if the reader has left
             if not isinstance(error.__context__, BrokenPipeError):
                 raise
             code = 0
@@ -77,7 +77,7 @@ _Version = typer.Option(
 
 
 def _top(version: Annotated[bool, _Version] = False) -> None:
-    """What belongs to no command."""
+    """Take the options that belong to no command."""
 
 
 def new_app() -> typer.Typer:
@@ -96,7 +96,7 @@ def new_app() -> typer.Typer:
 def register(
     app: typer.Typer, command: Callable[..., None], *words: str, **settings: Any
 ) -> None:
-    """Make a function a command, whose help ends with what `words` of its output mean."""
+    """Make a function a command, whose help ends with explanations, `words`."""
     app.command(epilog=escape("\n\n".join(words)), **settings)(grouped(command))
 
 
@@ -115,7 +115,7 @@ register(app, survey.plot)
 register(app, check.replay)
 register(app, check.export)
 register(app, describe.material)
-# it says where figures are made, whatever is asked for
+# the message is the same for any options
 _ANY_OPTION = {"ignore_unknown_options": True}
 register(app, survey.figures, context_settings=_ANY_OPTION)
 
@@ -123,6 +123,6 @@ register(app, survey.figures, context_settings=_ANY_OPTION)
 def main() -> None:
     """Run the command line. Raises SystemExit."""
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # names that it cannot show are spelt
+        if isinstance(stream, io.TextIOWrapper):  # escape letters that it lacks
             stream.reconfigure(errors="backslashreplace")
     app(sys.argv[1:] or ["--help"])

@@ -21,9 +21,9 @@ with lazily():
 _File = Argument(metavar="FILE", help="Parquet file that eqsim wrote.")
 _SUITE = '"quick" (seconds) or "full" (minutes).'
 _SCORES = "Folder for the table of scores and the picture."
-_SUITE_SEED = "Random seed: other parameter points, other lives."
+_SUITE_SEED = "Random seed of parameter points and lives."
 _PARQUET = "Parquet file, or the folder of a run, sweep or fit."
-_CSV = "Of several tables their folder. Default: NAME.csv beside NAME.parquet, DIR.csv beside the folder of a sweep."
+_CSV = "CSV file, or folder for several. Default: NAME.csv beside NAME.parquet, DIR.csv beside the folder of a sweep."
 
 
 def validate(
@@ -34,8 +34,8 @@ def validate(
     *,
     shown: Shown,
 ) -> None:
-    """Particles against the master equation over the parameter space; exit code 1 if
-    they disagree.
+    """Compare simulated contacts with the master equation over the parameter space;
+    exit code 1 if they disagree.
 
     Points differ in thresholds, heat, delay, aging and velocity. Compared are steady
     averages, transients, programmes (steps, holds, crawls, jitter, reversals), hazards,
@@ -57,14 +57,14 @@ def replay(
     *,
     shown: Shown,
 ) -> None:
-    """Run again what made a file, from its provenance alone, and compare bit by bit;
-    exit code 1 if they differ."""
+    """Repeat the call that made a file, from its provenance alone, and compare bit by
+    bit; exit code 1 if they differ."""
     report_replay(path, cores(threads), shown)
 
 
 def report_replay(path: Path, workers: int, shown: Shown, others: Any = None) -> None:
-    """Replay a table and say where the two differ; `others` repeat what programs beside
-    this one have written (`workflows.replay`). Raises Exit if they differ."""
+    """Replay a table and print where the two differ; `others` repeat tables of other
+    programs (`workflows.replay`). Raises Exit if they differ."""
     with shown.bar("repeating", "units") as progress:
         found = repeating.replay(
             path, workers=workers, progress=progress, others=others
@@ -90,7 +90,7 @@ def export(
     *,
     shown: Shown,
 ) -> None:
-    """Tables as CSV; comment lines hold the run file and what columns mean:
+    """Write tables as CSV; comment lines hold the run file and what columns mean:
     pandas.read_csv(FILE, comment="#")."""
     found = tables.tables(path)
     first = next(iter(found.values()))[0]

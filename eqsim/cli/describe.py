@@ -1,4 +1,4 @@
-"""Commands that say what parameters mean: info, material."""
+"""Commands about the meaning of parameters: info, material."""
 
 import os
 from pathlib import Path
@@ -22,9 +22,11 @@ with lazily():
 _PRESETS = '"steel", "octamethylcyclotetrasiloxane" ("omcts")'
 _NAME = f"{_PRESETS}, or MINE.toml, a file of constants."
 _CONSTANT = "Change a constant, or give those of a material of kind rough or islands; repeatable."
-_AT_KELVIN = "Kelvin. Default: 289.7, kT = 4e-21 J as in the paper."
-_RUN_VELOCITY = "Of the run file, m/s. Default: v_* at 289.7 K, at any temperature."
-_DISORDER = 'Of the run file. Default: "quenched".'
+_AT_KELVIN = "In kelvin. Default: 289.7, where kT = 4e-21 J as in the paper."
+_RUN_VELOCITY = (
+    "Velocity of the run file, m/s. Default: v_* at 289.7 K, at any temperature."
+)
+_DISORDER = 'Disorder of the run file. Default: "quenched".'
 _NO_WALLS = "no elastic correlation length a^2 E/k: E of the walls is not given"
 _SetConstant = Option("--set", metavar="KEY=VALUE", help=_CONSTANT)
 
@@ -69,9 +71,7 @@ def material(
     kelvin = materials.ROOM_TEMPERATURE if temperature is None else temperature
     if toml:
         if shown.json:
-            raise InputError(
-                "--toml: prints a run file; it cannot be asked for with --json"
-            )
+            raise InputError("--toml: prints a run file, which cannot be JSON (--json)")
         kind: Any = disorder or "quenched"
         require_choice("--disorder", kind, ("quenched", "annealed"))
         text = materials.run_file_text(found, kelvin, velocity, disorder=kind)
@@ -79,7 +79,9 @@ def material(
         return
     for option, value in (("--disorder", disorder), ("--velocity", velocity)):
         if value is not None:
-            raise InputError(f"{option} {value}: is of the run file that --toml prints")
+            raise InputError(
+                f"{option} {value}: is for the run file that --toml prints"
+            )
     rows = materials.parameters(found, kelvin)
     shown.report(
         {row.name: row.value for row in rows},
@@ -110,10 +112,10 @@ def _material(name: str, changes: dict[str, Any]) -> "materials.Material":
         )
     for key, value in changes.items():
         *sections, last = key.split(".")
-        place = constants
+        table = constants
         for section in sections:
-            place = place.setdefault(section, {})
-            if not isinstance(place, dict):
+            table = table.setdefault(section, {})
+            if not isinstance(table, dict):
                 raise InputError(f"{key}: {section} is not a section")
-        place[last] = value
+        table[last] = value
     return materials.from_constants(constants, Path(name).stem)

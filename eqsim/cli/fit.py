@@ -1,4 +1,4 @@
-"""Commands that go from measurements to parameters: fit, design."""
+"""Commands about measurements: fit, design."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,9 +21,9 @@ with lazily():
 _FIT_FOLDER = "Folder for fit.json, tables, pictures and the best fit's run file."
 _ALLOW = "Fit also what the data cannot separate, with a warning."
 _VELOCITY_RANGE = (
-    "Within these limits. Default: up to ten times beyond the velocities of the data."
+    "Limits of velocities. Default: ten times beyond the velocities of the data."
 )
-_TEMPERATURE = "Within these limits, in kelvin. Default: the temperatures of the data."
+_TEMPERATURE = "Limits of temperatures, in kelvin. Default: those of the data."
 _COMPARE = (
     "Another model of the same data: its chi-square, AICc and BIC beside this one's."
 )
@@ -36,7 +36,7 @@ _Fitted = Option("--fit", metavar="DIR", help="Folder of the fit.", show_default
 _KEY = "The key to be known better."
 _Key = Option("--for", metavar="KEY", help=_KEY, show_default=False)
 _Kelvin = Option(metavar="LOW,HIGH", help=_TEMPERATURE)
-_Next = Option("--next", help="How many measurements, one after the other.")
+_Next = Option("--next", help="Number of measurements, chosen one after the other.")
 _EXPECTED = (
     "expected by the Fisher information at the best fit, for errors like those of the "
     "data"
@@ -45,7 +45,7 @@ _EXPECTED = (
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How a fit is made."""
+    """Options of a fit."""
 
     data: Annotated[Path | None, _Data] = None
     starts: Annotated[int, Option(help="Points from which least squares begin.")] = 8
@@ -106,7 +106,7 @@ def fit(
 
 @dataclass(frozen=True)
 class DesignOptions:
-    """What measurements are sought."""
+    """Options of a search for measurements."""
 
     fitted: Annotated[Path, _Fitted]
     key: Annotated[str, _Key]
@@ -132,8 +132,8 @@ class DesignOptions:
 def design(
     path: RunFilePath, options: DesignOptions, changes: Changes, *, shown: Shown
 ) -> None:
-    """The next measurements for a key of a fit: velocities and temperatures, and how
-    well it would be known after."""
+    """Propose the next measurements for a key of a fit: velocities and temperatures, and
+    how well the key would be known after them."""
     file = changes.load(path)
     require_integer("--next", options.count, 1, 1000)
     limits = options.limits("velocity"), options.limits("temperature")
@@ -149,7 +149,7 @@ def design(
 
 
 def _steps(found: "designing.Design") -> Iterator[tuple[str, str, str, str]]:
-    """The rows of the table."""
+    """The rows of the printed table."""
     yield "now", "", "", f"{found.now:.3g}"
     for number, step in enumerate(found.steps, 1):
         kelvin = "" if step.temperature is None else f"{step.temperature:.4g}"

@@ -1,4 +1,4 @@
-"""Options that commands share, and commands whose options come in groups."""
+"""Options that commands share, what they print, and options in groups."""
 
 import copy
 import functools
@@ -30,7 +30,7 @@ RunFilePath = Annotated[
     Path, Argument(metavar="RUN.toml", help="Run file.", show_default=False)
 ]
 Threads = Annotated[
-    int | None, Option(help="Threads: speed only, never a number. Default: all cores.")
+    int | None, Option(help="Threads; no result depends on them. Default: all cores.")
 ]
 Processes = Annotated[
     int | None, Option(help="Processes on this machine. Default: all cores.")
@@ -49,16 +49,16 @@ _SetKey = Option("--set", metavar="KEY=VALUE", help=_CHANGE)
 
 @dataclass(frozen=True)
 class Changes:
-    """What the command line changes in a run file."""
+    """Options that change keys of a run file."""
 
     set_: Annotated[list[str] | None, _SetKey] = None
     seed: Annotated[int | None, Option(help=_OTHER_SEED)] = None
 
     def given(self) -> dict[str, tuple[Any, str]]:
-        """Value and option by key."""
+        """New value and the option it comes from, by key."""
         changes: dict[str, tuple[Any, str]] = {}
         for item in self.set_ or []:
-            if any("\ud800" <= c <= "\udfff" for c in item):  # bytes of no text
+            if any("\ud800" <= c <= "\udfff" for c in item):  # undecodable bytes
                 raise InputError(f"--set {item}: is not text in UTF-8")
             key, equals, text = item.partition("=")
             if not equals or not all(map(str.strip, key.split("."))):
@@ -82,65 +82,65 @@ class Changes:
 
 @dataclass(frozen=True)
 class Shown:
-    """What of a result is shown, and how."""
+    """Options of what is printed, and the printing."""
 
     json: Annotated[bool, Option("--json", help="Print JSON for machines.")] = False
     quiet: Annotated[bool, Option("--quiet", help="Print errors only.")] = False
 
     def bar(self, title: str, unit: str) -> AbstractContextManager[Progress]:
-        """A progress bar, unless there is nobody to see it."""
+        """A progress bar, unless JSON or errors only are printed."""
         return terminal.bar(title, self.quiet or self.json, unit)
 
     def note(self, line: str) -> None:
-        """A line about what is going on."""
+        """Print a line about progress, where a bar would be shown."""
         if not (self.quiet or self.json):
             print(line)
 
     def doubt(self, ensemble: Any, drive: Any = None) -> None:
-        """Warn, on standard error, of numbers that are hardly meant."""
+        """Warn on standard error about numbers whose units were probably mixed."""
         for line in groups.doubts(ensemble, drive) if not self.quiet else ():
             complain(f"warning: {line}")
 
     def report(self, data: Any, **more: Any) -> None:
-        """The result, as in `terminal.Report`."""
+        """Print a result; the arguments are those of `terminal.Report`."""
         terminal.Report(data, **more).show(self.json, self.quiet)
 
     def result(
         self,
-        found: "results.FileResult",
+        result: "results.FileResult",
         name: str,
         out: Path | None = None,
         formats: tuple[str, ...] = ("png",),
     ) -> None:
-        """A result, titled `name` if it has no title; its files go to `out`, if given."""
+        """Print a result, titled `name` if it has no title, and write its files to `out`,
+        if given."""
         more = []
         if out is not None:
-            files = found.files(name, formats)
+            files = result.files(name, formats)
             storage.publish(out, files)
-            more = [f"{out}/: {found.written(list(files))}"]
-        found.report(name, *more).show(self.json, self.quiet)
+            more = [f"{out}/: {result.written(list(files))}"]
+        result.report(name, *more).show(self.json, self.quiet)
 
 
-# What commands mean by words of their tables, columns and JSON.
+# Sentences below the help of commands, about words of their tables, columns and JSON.
 Z = "z: difference from the expected value in standard errors, both errors in quadrature."
-STDERR = "stderr: statistical standard error, of a value simulated."
+STDERR = "stderr: statistical standard error of a simulated value."
 ERROR = "error: bound of the error of a numerical solution."
 
 
 def complain(message: str) -> None:
-    """One line on standard error."""
+    """Print one line on standard error."""
     print("eqsim: " + " ".join(message.split()), file=sys.stderr)
 
 
 def typed(message: str) -> str:
-    """A message in which arguments of functions have the names of the options they come
-    from."""
+    """Replace names of arguments of functions in a message by those of the options."""
     names = r"(?<![\w.-])(rel_error|max_lives|temperature|velocity)(?= (= |was ))"
     return re.sub(names, lambda found: "--" + found[1].replace("_", "-"), message)
 
 
 def results_folder(path: Path, out: Path | None) -> Path:
-    """Where the results of a run file go: to `out`, or to out/NAME beside it. Raises
+    """Folder for the results of a run file: `out`, or out/NAME beside the file. Raises
     InputError."""
     if out is None and not path.is_file():
         raise InputError(
@@ -150,7 +150,7 @@ def results_folder(path: Path, out: Path | None) -> Path:
 
 
 def cores(asked: int | None = None) -> int:
-    """So many threads as are asked for, or as there are cores. Raises InputError."""
+    """Number of threads: the one asked for, or that of the cores. Raises InputError."""
     if asked is None:
         affinity = getattr(os, "sched_getaffinity", None)
         return len(affinity(0)) if affinity else os.cpu_count() or 1
@@ -166,13 +166,13 @@ def pictured(formats: list[str] | None) -> tuple[str, ...]:
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """A command for typer: where `command` takes a dataclass, the dataclass's fields
-    are options. Help is text: what it has in brackets, as a [section], is no markup."""
+    """Make a command for typer: where `command` takes a dataclass, the dataclass's
+    fields are options. Brackets in help, as of a [section], are no markup."""
     given = inspect.signature(command).parameters
     kinds: dict[str, Any] = {
-        name: part.annotation
-        for name, part in given.items()
-        if is_dataclass(part.annotation)
+        name: parameter.annotation
+        for name, parameter in given.items()
+        if is_dataclass(parameter.annotation)
     }
     fields = {name: inspect.signature(kind).parameters for name, kind in kinds.items()}
 
@@ -182,31 +182,32 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
             values[name] = kind(**{field: values.pop(field) for field in fields[name]})
         command(**values)
 
-    every = [
-        one.replace(kind=one.KEYWORD_ONLY, annotation=_escaped(one.annotation))
-        for name, part in given.items()
-        for one in fields.get(name, {name: part}).values()
+    options = [
+        option.replace(kind=option.KEYWORD_ONLY, annotation=_escaped(option.annotation))
+        for name, parameter in given.items()
+        for option in fields.get(name, {name: parameter}).values()
     ]
-    call.__signature__ = inspect.Signature(every)  # type: ignore[attr-defined]
-    call.__annotations__ = {one.name: one.annotation for one in every}
-    call.__doc__ = escape(inspect.cleandoc(command.__doc__ or ""))
+    call.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
+    call.__annotations__ = {option.name: option.annotation for option in options}
+    text = escape(inspect.cleandoc(command.__doc__ or ""))
+    call.__doc__ = re.sub(r"(?<!\n)\n(?!\n)", " ", text)  # typer keeps ends of lines
     return call
 
 
 def _path(text: str) -> Path:
-    """The path that an option or argument names; an empty one would be the current
-    folder. Raises BadParameter."""
+    """Parse a path; an empty one is refused, as it would be the current folder. Raises
+    BadParameter."""
     if not str(text).strip():
         raise BadParameter(f"{str(text)!r} must be the name of a file or folder")
     return Path(text)
 
 
-_path.__name__ = "path"  # what help calls such a value
+_path.__name__ = "path"  # the type that help shows
 
 
 def _escaped(annotation: Any) -> Any:
-    """An annotated option or argument whose help shows as it is written; no path is
-    empty."""
+    """Annotate an option or argument so that its help shows as written, and an empty
+    path is refused."""
     kind, given = get_args(annotation)
     shown = copy.copy(given)
     shown.help = escape(given.help or "")

@@ -32,8 +32,8 @@ with lazily():
 F_K = "f_k: F/(N_c k), the elastic force per pinned contact, the f_k of the paper; friction is F/(N k)."
 PEAK = "peak_force, peak_X: the static peak, the first maximum of the force after a fresh start."
 _RESULTS = "Results folder. Default: out/NAME beside the run file."
-_WORKERS = "Split the ensemble over so many processes: the same bits."
-_SPLIT_DASK = "Split the ensemble over a dask cluster, by its scheduler's address or file: the same bits."
+_WORKERS = "Split the ensemble over so many processes; results are the same."
+_SPLIT_DASK = "Split the ensemble over a dask cluster, by its scheduler's address or file; results are the same."
 _PRECISION = "Relative standard error of all observables."
 _FROM_THE_START = "F(X) and pinned(X) from the run's start."
 _CLOSURE = "F(X) of annealed contacts whose pool of thresholds ages from newborn."
@@ -41,14 +41,14 @@ _CURVE = "Folder for table and picture of --transient or --closure. Default: out
 
 _VARIANCE = "Folder for fluctuations.parquet, summary.json and a picture."
 _LAG = "Greatest lag. Default: five mean cycles of pinned and detached."
-_SAMPLED_LIVES = "About how many lives are simulated; 0: none."
+_SAMPLED_LIVES = "Number of lives to simulate, roughly; 0: none."
 _BORDERS = "Folder for the borders over velocity: a table, a picture and summary.json."
 _CRITICAL = "Look for the critical stiffness of steady sliding also where it takes minutes, with heat or aging."
 
 
 @dataclass(frozen=True)
 class Split:
-    """Who simulates the contacts, if not threads of this process."""
+    """Options that share contacts among processes instead of threads."""
 
     workers: Annotated[int | None, Option(help=_WORKERS)] = None
     dask: Annotated[str | None, Option(metavar="ADDRESS", help=_SPLIT_DASK)] = None
@@ -174,8 +174,8 @@ def stability(
     threads: Threads = None,
     shown: Shown,
 ) -> None:
-    """Whether a slider that a stage pulls through a spring slides steadily, or sticks
-    and slips."""
+    """Decide whether a slider that a stage pulls through a spring slides steadily, or
+    sticks and slips."""
     file = changes.load(path)
     cores(threads)
     if out is not None:

@@ -20,18 +20,18 @@ with lazily():
     from eqsim.sweeps import workers as pools
 
 COLUMN_ENDS = "Columns end in _stderr, _reference_error and _z."
-_MOST_FAILURES = 10  # that are told
+_MOST_FAILURES = 10  # failed points that are reported
 _POINT_ERROR = "Relative standard error of all observables."
 _SECOND_HALF = "Second half of the run's distance instead of steady averages."
 _CLUSTER = "Scheduler (or its file) of a dask.distributed cluster to compute on."
 _DATASET = "Folder of the dataset; the same command continues it."
-_THREADS = "Threads per process. Default: cores that are left."
-_PointLives = Option(help="Most lives per point.", show_default="1e10")
+_THREADS = "Threads per process. Default: cores shared among processes."
+_PointLives = Option(help="Refuse points that need more lives.", show_default="1e10")
 
 
 @dataclass(frozen=True)
 class SweepOptions:
-    """What is computed at each point, and who computes."""
+    """Options of a sweep: what is computed at each point, and by which processes."""
 
     rel_error: Annotated[float, Option(help=_POINT_ERROR)] = 1e-2
     transient: Annotated[bool, Option("--transient", help=_SECOND_HALF)] = False
@@ -39,7 +39,7 @@ class SweepOptions:
     dask: Annotated[str | None, Option(metavar="ADDRESS", help=_CLUSTER)] = None
 
     def chosen(self, threads: int | None) -> "pools.Workers":
-        """Who computes, each with so many threads. Raises InputError."""
+        """Processes or cluster, each with so many threads. Raises InputError."""
         if self.dask is not None and self.workers is not None:
             raise InputError("--workers: not with --dask, whose cluster has its own")
         each = None if threads is None else cores(threads)
@@ -61,10 +61,10 @@ def sweep(
     *,
     shown: Shown,
 ) -> None:
-    """A grid of points, the [sweep] table of the run file: a resumable Parquet dataset,
-    one row per point."""
+    """Simulate a grid of points, the [sweep] table of the run file, into a resumable
+    Parquet dataset, one row per point."""
     file = changes.load(path)
-    who = options.chosen(threads)
+    workers = options.chosen(threads)
     given = changes.given()
     for key in sorted(given.keys() & plan.swept(file)):
         said = f"the [sweep] table sets {key} at every point; --set sweep.{key}=[...] sets other values there"
@@ -77,11 +77,11 @@ def sweep(
         shown.doubt(first.ensemble, first.drive)
         with shown.bar("sweeping", "points") as progress:
             found = scheduler.sweep(
-                points, out, asked=asked, workers=who, progress=progress, note=shown.note,
+                points, out, asked=asked, workers=workers, progress=progress, note=shown.note,
                 opened=stores.append,
             )  # fmt: skip
     except KeyboardInterrupt:
-        signals.acknowledge()  # no further one can break off the writing of what is finished
+        signals.acknowledge()  # let finished rows be written, whatever comes
         kept = stores[0].kept() if stores else "this call has computed nothing"
         raise KeyboardInterrupt(f"{kept}; the same command continues") from None
     failures = found.failures[:_MOST_FAILURES]
@@ -97,9 +97,9 @@ def sweep(
 
 _FOLDER = "Folder of Parquet files, one point a row."
 _PICTURE = "Picture, .png, .pdf or .svg. Default: DIR.png beside DIR."
-_BY = "Column of which every value is a series; a second one chooses markers, the first then colours."
+_BY = "Column whose values are series; with a second one, the first chooses colours, the second markers."
 _AT = "Only points at which a column has this value; repeatable."
-_LOG = "Default: logarithmic above a factor 30."
+_LOG = "Scale of the x axis. Default: logarithmic if x spans more than a factor 30."
 _Where = Option(metavar="KEY=VALUE", help=_AT)
 _Log = Option("--log-x/--linear-x", help=_LOG, show_default=False)
 

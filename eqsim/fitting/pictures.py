@@ -65,7 +65,7 @@ class _Abscissa(NamedTuple):
 
     @classmethod
     def of(cls, result: "FitResult") -> "_Abscissa":
-        """Time of a record, the velocity if it changes, else the number."""
+        """Time of a record, the velocity if it changes, else the measurement's number."""
         table, units = result.table, result.file.units
         if table.time is not None:
             return cls(table.time, axis("time", units), False, True)
@@ -78,8 +78,8 @@ class _Abscissa(NamedTuple):
 
 @styled
 def fit_figure(result: "FitResult", title: str) -> Figure:
-    """Each observable against velocity, or against the number of the measurement if
-    that does not change, with the fitted curves and their bands; below, residuals."""
+    """Draw each observable against time, velocity or number of the measurement, with
+    the fitted curves and their bands; below, residuals."""
     shown = [name for name in MEASURED if name in result.table.observable]
     figure = Figure(figsize=(8, 1.0 + 4.6 * len(shown)))
     heights = [2.6, 1.0] * len(shown)
@@ -129,17 +129,17 @@ def _draw_observable(
 
 
 def _series(result: "FitResult", here: Array) -> dict[str, list[int]]:
-    """Measurements that differ in velocity only, by what they share."""
-    table, found = result.table, dict[str, list[int]]()
+    """Group measurements that differ in velocity only; keys are labels of the rest."""
+    table, series = result.table, dict[str, list[int]]()
     for index in np.flatnonzero(here).tolist():
         row = table.rows[table.row[index]]
-        shared = [f"{k} = {x:g}" for k, x in row.changes if k != "drive.velocity"]
+        shared = [f"{k} = {v:g}" for k, v in row.changes if k != "drive.velocity"]
         if result.fit.temperature is not None:
             shared.insert(0, f"T = {table.temperatures[table.row[index]]:g} K")
         if row.set:
             shared.append(f"set {row.set}")
-        found.setdefault(", ".join(shared), []).append(index)
-    return found
+        series.setdefault(", ".join(shared), []).append(index)
+    return series
 
 
 class _Curve(NamedTuple):
@@ -151,7 +151,7 @@ class _Curve(NamedTuple):
 
 
 def _fitted_curve(result: "FitResult", members: list[int], x: _Abscissa) -> _Curve:
-    """The fit along a record, or between the velocities of some measurements."""
+    """The fit along a record, or over the velocities of the `members` of a series."""
     problem = result.problem
     if x.times:
         return _Curve(x.values, *band(problem, result))
@@ -160,7 +160,7 @@ def _fitted_curve(result: "FitResult", members: list[int], x: _Abscissa) -> _Cur
     if problem.forward.observable[members[0]] in AVERAGES:  # others take a solve each
         fine = np.geomspace(fine[0], fine[-1], _BETWEEN * max(fine.size - 1, 2) + 1)
     like = problem.forward.rows[members[0]]
-    shared = tuple(one for one in like.changes if one[0] != "drive.velocity")
+    shared = tuple(item for item in like.changes if item[0] != "drive.velocity")
     rows = [
         like._replace(changes=(*shared, ("drive.velocity", v))) for v in fine.tolist()
     ]
@@ -178,8 +178,8 @@ def _draw_curve(panel: Any, curve: _Curve, color: str, dashes: Any) -> None:
 
 @styled
 def profiles_figure(result: "FitResult", title: str) -> Figure:
-    """Chi-square over each parameter with all others at their best, and the levels of
-    the intervals."""
+    """Draw chi-square over each parameter with all others at their best, and the levels
+    of the intervals."""
     count = len(result.intervals)
     wide = min(3, count)
     tall = -(-count // wide)
@@ -197,31 +197,32 @@ def profiles_figure(result: "FitResult", title: str) -> Figure:
 
 
 def _draw_profile(result: "FitResult", index: int, panel: Any) -> None:
-    one, known = result.problem.parameters[index], result.intervals[index]
-    low, high = result.profiles[one.key]
+    """Draw the profile of a parameter."""
+    parameter, known = result.problem.parameters[index], result.intervals[index]
+    low, high = result.profiles[parameter.key]
     u = np.concatenate((low.points[::-1, index], high.points[1:, index]))
     rise = np.concatenate((low.rise[::-1], high.rise[1:]))
-    value, top = one.value(u), 1.35 * max(LEVELS.values())
+    value, top = parameter.value(u), 1.35 * max(LEVELS.values())
     panel.plot(value, rise, color="C0", marker=".", linestyle="none")
     if np.all(np.diff(u) > 0):  # nearly a straight line of the signed root
         fine = np.linspace(u[0], u[-1], 200)
         signed = np.sqrt(np.maximum(rise, 0.0)) * np.sign(u - result.best.u[index])
         smooth = PchipInterpolator(u, signed)(fine) ** 2
-        panel.plot(one.value(fine), smooth, color="C0")
+        panel.plot(parameter.value(fine), smooth, color="C0")
     place = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
     for name, level in LEVELS.items():
         panel.axhline(level, color="0.5", linewidth=0.8, linestyle=":")
         panel.annotate(f"{name} %", (1.0, level), fontsize=7, color="0.4", **place)
     panel.axvline(known.estimate, color="C3", linewidth=0.8)
-    for side, bound in ((low, one.low), (high, one.high)):
+    for side, bound in ((low, parameter.low), (high, parameter.high)):
         if side.ends["95"] is None:
-            panel.axvline(float(one.value(bound)), color="k", linewidth=1.5)
+            panel.axvline(float(parameter.value(bound)), color="k", linewidth=1.5)
     panel.locator_params(axis="x", nbins=5)
-    positive = one.transform != "linear" and value.min() > 0
+    positive = parameter.transform != "linear" and value.min() > 0
     if positive and np.ptp(np.log10(value)) > 1.5:
         panel.set_xscale("log")
         panel.xaxis.set_minor_formatter(NullFormatter())
-    label = axis(one.key, result.file.units, unknown=False)
+    label = axis(parameter.key, result.file.units, unknown=False)
     panel.set(ylim=(-0.03 * top, top), xlabel=f"{label}: {known.status}")
 
 
@@ -245,12 +246,12 @@ def identifiability_figure(result: "FitResult", title: str) -> Figure:
     left.set(xscale="log", xlim=(1e-4, max(10, 3 * sd.max())), ylabel="direction")
     left.set_xlabel("standard deviation along it\n(dotted: 1.1, a factor 3)")
     left.set_yticks(rows, [str(number + 1) for number in rows])
-    parts = np.array([[rung.components[key] for key in keys] for rung in rungs])
-    image = right.imshow(parts, vmin=-1, vmax=1, cmap="RdBu_r", aspect="auto")
-    for (row, column), part in np.ndenumerate(parts):
+    components = np.array([[rung.components[key] for key in keys] for rung in rungs])
+    image = right.imshow(components, vmin=-1, vmax=1, cmap="RdBu_r", aspect="auto")
+    for (row, column), component in np.ndenumerate(components):
         style = {"ha": "center", "va": "center", "fontsize": 8}
-        color = "w" if abs(part) > 0.6 else "k"
-        right.text(column, row, f"{part:+.2f}", color=color, **style)
+        color = "w" if abs(component) > 0.6 else "k"
+        right.text(column, row, f"{component:+.2f}", color=color, **style)
     right.grid(False)
     right.set_xticks(np.arange(len(keys)), keys, rotation=30, ha="right", fontsize=8)
     figure.colorbar(image, ax=right, label="component")
@@ -260,8 +261,8 @@ def identifiability_figure(result: "FitResult", title: str) -> Figure:
 
 @styled
 def posterior_figure(sampled: "Posterior", title: str) -> Figure:
-    """Draws of the posterior by pairs of keys, in the variables that were fitted, with
-    the quantiles of intervals. Raises InputError without corner."""
+    """Draw samples of the posterior by pairs of keys, in the variables that were fitted,
+    with the quantiles of intervals. Raises InputError without corner."""
     corner = require_package("posterior", "corner")
     labels = [one.variable_name for one in sampled.problem.parameters]
     size = 2.2 * len(labels) + 0.8

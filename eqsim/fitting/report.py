@@ -28,13 +28,13 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
     """The content of fit.json."""
     values = result.problem.values
     parameters = {}
-    for one in result.intervals:
-        known = one._asdict()
+    for interval in result.intervals:
+        known = interval._asdict()
         ends = {f"interval_{name}": x for name, x in known.pop("intervals").items()}
         parameters[known.pop("key")] = {**known, **ends}
     starts, minima = (
-        [{**one._asdict(), "values": values(one.u)} for one in found]
-        for found in (result.minima, different(result.minima))
+        [{**minimum._asdict(), "values": values(minimum.u)} for minimum in several]
+        for several in (result.minima, different(result.minima))
     )
     content = {
         "title": result.file.title,
@@ -45,13 +45,13 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
         "loss": result.fit.loss,
         "measurements": result.table.value.size,
         "covariance": {"keys": result.problem.keys, "matrix": result.covariance},
-        "starts": [_of(one, "chi2", "converged", "solves", "values") for one in starts],
-        "minima": [_of(one, "chi2", "values") for one in minima],
+        "starts": [_pick(x, "chi2", "converged", "solves", "values") for x in starts],
+        "minima": [_pick(x, "chi2", "values") for x in minima],
         "eigenvalues": [
             {
                 "value": rung.eigenvalue,
                 "direction": rung.name,
-                **_of(rung._asdict(), "ratio", "sd", "components"),
+                **_pick(rung._asdict(), "ratio", "sd", "components"),
             }
             for rung in result.ladder
         ],
@@ -66,7 +66,7 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
     return content if sampled is None else {**content, "posterior": sampled.summary()}
 
 
-def _of(given: dict[str, Any], *names: str) -> dict[str, Any]:
+def _pick(given: dict[str, Any], *names: str) -> dict[str, Any]:
     return {name: given[name] for name in names}
 
 
@@ -146,8 +146,8 @@ def write_posterior(
         "posterior.parquet": storage.parquet(sampled.columns, _fit_origin(result)),
         "posterior.png": saved(figure),
     }
-    said = storage.to_json(summary(result, sampled)).encode()
-    storage.publish(out, {**files, "fit.json": said})
+    content = storage.to_json(summary(result, sampled)).encode()
+    storage.publish(out, {**files, "fit.json": content})
     return list(files)
 
 
@@ -177,7 +177,7 @@ def run_toml(result: FitResult, out: Path) -> str:
 
 def to_toml(data: dict[str, Any]) -> Iterator[str]:
     """Lines of a run file with this content: values, then sections."""
-    sections = {key: part for key, part in data.items() if isinstance(part, dict)}
+    sections = {key: value for key, value in data.items() if isinstance(value, dict)}
     for key, value in data.items():
         if key not in sections:
             yield f"{key} = {_toml(value)}"
@@ -240,8 +240,8 @@ def remarks(result: FitResult) -> Iterator[str]:
         yield f"errors of {size} points: {said}, worth {effective:.0f} independent ones"
     minima, count = different(result.minima), len(result.minima)
     if len(minima) > 1:
-        found = ", ".join(f"{one.chi2:.4g}" for one in minima[:5])
-        yield f"{len(minima)} minima among {count} starts, chi-square {found}"
+        values = ", ".join(f"{minimum.chi2:.4g}" for minimum in minima[:5])
+        yield f"{len(minima)} minima among {count} starts, chi-square {values}"
     best = result.ladder[0]
     yield f"best determined: {best.name}, to {best.sd:.2g}"
     for rung in result.ladder:
@@ -279,12 +279,12 @@ def drawn(sampled: Posterior) -> Iterator[str]:
         f"prior ({long}, worth"
     )
     yield (
-        f"{sampled.effective:.0f} independent draws: the 2.5 % beyond an end are known "
-        f"to {100 * sampled.doubt:.1f}):"
+        f"{sampled.effective:.0f} independent draws; of the 2.5 % beyond an end the "
+        f"error is {100 * sampled.doubt:.1f} %):"
     )
-    for key, one in sampled.intervals.items():
-        inner, outer = _range(*one["68"]), _range(*one["95"])
-        yield f"  {key}: median {one['median']:.4g}, 68 % {inner}, 95 % {outer}"
+    for key, known in sampled.intervals.items():
+        inner, outer = _range(*known["68"]), _range(*known["95"])
+        yield f"  {key}: median {known['median']:.4g}, 68 % {inner}, 95 % {outer}"
 
 
 def quality(name: str, good: Goodness) -> str:

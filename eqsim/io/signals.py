@@ -1,9 +1,9 @@
-"""How Ctrl-C, a batch system or a closed terminal ends a command within a second.
+"""Interrupts: Ctrl-C, a batch system or a closed terminal ends a command in a second.
 
 The first signal raises KeyboardInterrupt. Python does so between two instructions of
 its main thread only, which may be in a compiler for much longer, and libraries may lose
-the exception, in a finaliser or as they catch everything. A thread therefore waits for
-signals, too, and ends a process that does not acknowledge one in time.
+the exception in a finaliser, or where they catch everything. A thread therefore waits
+for signals, too, and ends a process that does not acknowledge one in time.
 """
 
 import atexit
@@ -18,14 +18,14 @@ from typing import Any, NoReturn
 
 MESSAGE = "interrupted; nothing is half-written"
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
-_ANSWER = 0.6  # seconds to acknowledge a signal in: ending takes another tenth of one
-_LEAVE = 5.0  # seconds after that to write what is finished
+_ANSWER = 0.6  # seconds to acknowledge a signal; ending takes another 0.1 s
+_LEAVE = 5.0  # seconds after that to write finished results
 _SHOW_CURSOR = b"\x1b[?25h"  # progress bars hide it
 
-_first_signal = 0  # of the first signal
+_first_signal = 0  # its number; 0 before one has come
 _acknowledged = threading.Event()
 _deferring: list[None] = []  # an item for each `deferred` block
-_undo: list[Callable[[], None]] = []  # of the `undone` blocks
+_undo: list[Callable[[], None]] = []  # functions to call, of the active `undone` blocks
 
 
 @contextmanager
@@ -61,8 +61,8 @@ def deferred() -> Iterator[None]:
     """Let interrupts wait for the end of the block; processes started in it inherit
     that signals are blocked.
 
-    Blocking in this thread is not enough: Python answers here also to signals that
-    reach another thread.
+    Blocking in this thread is not enough: Python handles signals here that reach any
+    other thread.
     """
     block: Any = getattr(signal, "pthread_sigmask", lambda *_: None)
     mask = block(getattr(signal, "SIG_BLOCK", 0), {signal.SIGINT, signal.SIGTERM})
@@ -135,8 +135,8 @@ def _watch(arrived: int) -> NoReturn:
 
 
 def _leave() -> None:
-    """End an interrupted process before Python takes itself apart under threads that
-    still compile."""
+    """End an interrupted process before Python shuts down under threads that still
+    compile."""
     if _first_signal:
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError):

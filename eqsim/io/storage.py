@@ -17,11 +17,11 @@ import numpy as np
 from eqsim.errors import InputError
 from eqsim.io.signals import undone
 
-# What the folder of a sweep holds (`eqsim.sweeps.store`).
+# Files in the folder of a sweep (`eqsim.sweeps.store`).
 SWEEP_TABLE = "sweep.parquet"  # all rows, in the order of the grid, once all are there
-SWEEP_MANIFEST = "_sweep.json"  # what was asked for
-SWEEP_PARTS = "parts"  # rows that are computed while others are not
-SWEEP_HIDDEN = "_parts"  # the same folder from just before the table gets its name
+SWEEP_MANIFEST = "_sweep.json"  # settings of the sweep
+SWEEP_PARTS = "parts"  # finished rows of an unfinished sweep
+SWEEP_HIDDEN = "_parts"  # the same, renamed just before the table gets its name
 
 
 def sweep_parts(folder: Path) -> list[Path]:
@@ -32,15 +32,15 @@ def sweep_parts(folder: Path) -> list[Path]:
 
 def sweep_files(folder: Path) -> list[Path] | None:
     """The Parquet files that hold the rows of a sweep, each once, whether it is
-    finished or at work; none if no row is there yet. None of a folder that is no
-    sweep's."""
+    finished or at work; none if no row is there yet. None for a folder that holds no
+    sweep."""
     if not (folder / SWEEP_MANIFEST).exists():
         return None
     return [*folder.glob(SWEEP_TABLE)] or sweep_parts(folder)
 
 
 def versions() -> dict[str, str]:
-    """Versions of everything that numbers depend on."""
+    """Versions of Python and the packages that results depend on."""
     packages = ("eqsim", "numpy", "numba", "scipy")
     known = {name: metadata.version(name) for name in packages}
     return {"python": platform.python_version(), **known}
@@ -84,8 +84,8 @@ def parquet(columns: Any, origin: dict[str, Any]) -> bytes:
     import pyarrow
 
     def whole(column: Any) -> Any:
-        """Numbers as they lie in memory; left to itself pyarrow imports pandas for
-        them, a third of a second."""
+        """Wrap the memory of numbers; pyarrow alone would import pandas to convert
+        them, which takes a third of a second."""
         if not isinstance(column, np.ndarray) or column.dtype.kind not in "if":
             return column
         memory = pyarrow.py_buffer(np.ascontiguousarray(column))
@@ -141,8 +141,8 @@ def save(path: Path, content: bytes) -> None:
 
 
 def publish(folder: Path, files: dict[str, bytes], place: str = "") -> None:
-    """Write files, and only when all are on disk give them their names. Raises
-    InputError, which names `place`."""
+    """Write files; they get their names only when all are on disk. Raises InputError,
+    which names `place`."""
     place = place or f"--out {folder}"
     for name in files:
         if (folder / name).is_dir():

@@ -1,4 +1,4 @@
-"""What a terminal shows: results of commands, numbers, progress."""
+"""Output on a terminal: results of commands, numbers, progress."""
 
 import os
 import time
@@ -23,13 +23,8 @@ from eqsim.numerics.kernel_folder import compiling_since
 
 _LONG_ATTEMPT = 20.0  # seconds from which on the time left is announced
 _COMPILING = 1.0  # seconds after which the bar says that kernels are compiled
-_FILE_WIDTH = 100  # of a table that no terminal shows
-_LEFT_COLUMNS = (
-    "",
-    "group",
-    "meaning",
-    "unit",
-)  # columns of words, which begin at the left
+_FILE_WIDTH = 100  # width of a table that goes to a file
+_LEFT_COLUMNS = ("", "group", "meaning", "unit")  # words, which begin at the left
 
 
 @dataclass(frozen=True)
@@ -44,7 +39,7 @@ class Report:
     notes: Iterable[str] = ()
 
     def show(self, json: bool = False, quiet: bool = False) -> None:
-        """Print it: as JSON, as table and lines, or not at all."""
+        """Print the result as JSON, as table and lines, or not at all."""
         if json:
             print(to_json(self.data))
         elif not quiet:
@@ -73,7 +68,7 @@ class Report:
 
 
 def relative_error(estimate: Any) -> str:
-    """Standard error over value."""
+    """Standard error over value, as text."""
     if estimate.diverges:
         return "none"
     if not estimate.stderr or not estimate.value:
@@ -82,7 +77,7 @@ def relative_error(estimate: Any) -> str:
 
 
 def score(z: float | None) -> str:
-    """A difference in standard errors; None if there is neither."""
+    """A difference in standard errors as text; None if there is no error."""
     return "exact" if z is None else f"{z:+.2f}"
 
 
@@ -100,7 +95,7 @@ def count(number: float) -> str:
 
 
 def lives(number: int, seconds: float, of: str = "") -> str:
-    """How many were simulated, and how fast."""
+    """Text of how many lives were simulated, and how fast."""
     speed = count(number / max(seconds, 1e-9))
     return f"{count(number)} lives{of} in {seconds:.2f} s ({speed}/s)"
 
@@ -140,7 +135,7 @@ def announcing(
 
 
 class _Doing(TextColumn):
-    """What is going on: the work, or that kernels are compiled."""
+    """Column that names the work, or says that kernels are compiled."""
 
     def render(self, task: Any) -> Any:
         begin = compiling_since()
@@ -150,7 +145,7 @@ class _Doing(TextColumn):
 
 
 class _Rate(ProgressColumn):
-    """How many units a second."""
+    """Column of units per second."""
 
     def __init__(self, unit: str) -> None:
         super().__init__()
@@ -174,8 +169,9 @@ def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, float], 
         _Rate(unit),
         TimeRemainingColumn(),
     )
-    how: dict[str, Any] = {"transient": True, "speed_estimate_period": 3600.0}
-    shown = Progress(*columns, console=console, **how)
+    shown = Progress(
+        *columns, console=console, transient=True, speed_estimate_period=3600.0
+    )
     task = shown.add_task(title, total=None)
 
     def progress(done: int, total: float) -> None:

@@ -16,9 +16,9 @@ from eqsim.results import draw_band
 if TYPE_CHECKING:
     from eqsim.engine.records import ElasticTrajectory
 
-_BINS_PER_DECADE = 8  # of a picture of sizes
-_BRIGHTEST = 0.999  # quantile of an image that is the end of its scale
-_MOST_PIXELS = 1000  # of an image in space and time, along each side
+_BINS_PER_DECADE = 8  # bins of a histogram of sizes
+_BRIGHTEST = 0.999  # quantile of an image at which its scale ends
+_MOST_PIXELS = 1000  # pixels of an image along each side
 
 
 @styled
@@ -31,9 +31,9 @@ def elastic_figure(
     top, low = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1.0])
     for label, band in replica_spread(top, run.D, run).items():
         band.set_label(label)
-    of = "" if run.force_replica_std is not None else " of contacts at the same X"
-    said = f"simulated contacts, mean ± 2 standard errors{of}"
-    draw_band(top, run.D, run.force, 2 * run.force_stderr, label=said)
+    scope = "" if run.force_replica_std is not None else " of contacts at the same X"
+    label = f"simulated contacts, mean ± 2 standard errors{scope}"
+    draw_band(top, run.D, run.force, 2 * run.force_stderr, label=label)
     label = "exact mean over displacement, steady sliding"
     top.axhline(friction.value or 0.0, color="C3", linestyle="--", label=label)
     top.set(ylabel=caption.force, ylim=(0, None))
@@ -48,8 +48,8 @@ def elastic_figure(
 
 @styled
 def avalanches_figure(run: "ElasticTrajectory", law: Array, caption: Caption) -> Figure:
-    """Draw sizes of avalanches over the second half of the plate's way on the exact
-    law, P(1), P(2), ... ; and how many blocks take part."""
+    """Draw the distribution of sizes of avalanches over the second half of the plate's
+    way beside the exact law, P(1), P(2), ..., and how many blocks take part."""
     figure = Figure(figsize=(10, 4.4))
     left, right = figure.subplots(1, 2)
     late = run.avalanches["D"] > 0.5 * run.D[-1]
@@ -61,18 +61,18 @@ def avalanches_figure(run: "ElasticTrajectory", law: Array, caption: Caption) ->
     seen, bins = np.histogram(breaks, edges)[0], np.digitize(breaks, edges) - 1
     shown = seen > 0
     share = (1.0 / max(breaks.size, 1) / width)[shown]
-    found, error = share * seen[shown], 2 * share * np.sqrt(seen[shown])
-    said = f"{breaks.size} simulated avalanches ± 2 roots of their number"
-    left.errorbar(centre[shown], found, error, color="C0", label=said, **DOTS)
+    density, error = share * seen[shown], 2 * share * np.sqrt(seen[shown])
+    label = f"{breaks.size} simulated avalanches ± 2 roots of their number"
+    left.errorbar(centre[shown], density, error, color="C0", label=label, **DOTS)
     if law.size:
         sizes = np.arange(1, law.size + 1)
         left.plot(sizes, law, color="k", label="infinitely many contacts (M/G/1)")
-    lowest = max(0.2 * found.min(initial=1.0), 1e-300)
+    lowest = max(0.2 * density.min(initial=1.0), 1e-300)
     left.set(xlim=(0.8, 1.3 * most), ylim=(lowest, 2.0), ylabel="probability  $P(s)$")
     mean = np.bincount(bins, blocks, minlength=seen.size)[shown] / seen[shown]
-    said = "mean of the avalanches of that size"
+    label = "mean of the avalanches of that size"
     squares = DOTS | {"color": "C1", "marker": "s"}
-    right.plot(centre[shown], mean, label=said, **squares)
+    right.plot(centre[shown], mean, label=label, **squares)
     line: dict[str, Any] = {"color": "0.6", "linewidth": 0.8, "linestyle": ":"}
     right.plot([1, most], [1, most], label="every break in another block", **line)
     right.set(ylabel="blocks that take part")
@@ -88,8 +88,8 @@ def fronts_figure(
     run: "ElasticTrajectory", nx: int, ny: int, caption: Caption
 ) -> Figure:
     """Draw the first replica in space and time: how far each block is beyond the mean,
-    and breaks between records; of a sheet of `ny` rows of `nx` blocks along its middle
-    row, and the whole sheet at the end."""
+    and breaks between records. A sheet of `ny` rows of `nx` blocks is shown along its
+    middle row, and as a whole at the end."""
     sheet = ny > 1
     figure = Figure(figsize=(10, 8.4 if sheet else 4.6))
     above, *below = figure.subplots(1 + sheet, 2, squeeze=False)
@@ -117,7 +117,7 @@ def fronts_figure(
 
 
 def _in_space(run: "ElasticTrajectory", name: str) -> Array:
-    """A column of the records of blocks of the first replica, shape (points, B)."""
+    """A column of the records of B blocks, first replica only, shape (points, B)."""
     points = run.D.size
     blocks = int(run.blocks["block"][-1]) + 1
     return np.asarray(run.blocks[name][: points * blocks].reshape(points, blocks))

@@ -1,4 +1,4 @@
-"""Pictures of what is exact: borders of stability, fluctuations, and a validation."""
+"""Pictures of borders of stability, of fluctuations, and of a validation."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from eqsim.master.transient import Fluctuations
     from eqsim.validation import Validation
 
-_FARTHEST = 8.0  # standard errors at which scores are drawn that are farther off
+_FARTHEST = 8.0  # scores beyond so many standard errors are drawn there
 
 
 @styled
@@ -31,8 +31,8 @@ def stability_figure(
     order = np.argsort(velocity)
     velocity = velocity[order]
     steady, fresh = (
-        np.append(borders.get(name, ()), own or 0.0)[order]
-        for name, own in zip(names, critical, strict=True)
+        np.append(borders.get(name, ()), stiffness or 0.0)[order]
+        for name, stiffness in zip(names, critical, strict=True)
     )
     known, shown = (np.isfinite(border) & (border > 0) for border in (steady, fresh))
     line: dict[str, Any] = {"marker": ".", "linewidth": 1.5}
@@ -44,11 +44,11 @@ def stability_figure(
     if shown.any():
         line |= {"linestyle": "--", "label": "a fresh start jumps below"}
         axes.plot(velocity[shown], fresh[shown], color="C0", **line)
-    own = [found.velocity], [found.stiffness]
-    axes.plot(*own, "k*", markersize=12, label=f"this run, {found.verdict}")
+    label = f"this run, {found.verdict}"
+    axes.plot([found.velocity], [found.stiffness], "k*", markersize=12, label=label)
     axes.set(xscale="log", yscale="log", xlabel=caption.along("drive.velocity"))
     axes.set_ylabel(caption.along("drive.stage.stiffness"))
-    values = np.concatenate((steady[known], fresh[shown], own[1]))
+    values = np.concatenate((steady[known], fresh[shown], [found.stiffness]))
     axes.set_ylim(0.3 * values.min(), 3.0 * values.max())
     axes.set_title(caption.heading)
     axes.legend(loc="best")
@@ -64,11 +64,12 @@ def fluctuations_figure(exact: "Fluctuations", sample: Any, caption: Caption) ->
     axes.axhline(0.0, color="0.6", linewidth=0.7)
     axes.plot(exact.lag, exact.covariance, color="k", label="exact", zorder=3)
     if sample is not None:
-        some = slice(None, None, max(1, exact.lag.size // 30))
+        thinned = slice(None, None, max(1, exact.lag.size // 30))
         ensembles = f"{sample.ensembles} ensembles of {sample.contacts} contacts"
         bars: dict[str, Any] = {"label": f"{ensembles} ± 2 standard errors", **DOTS}
-        shown = exact.lag[some], sample.covariance[some], 2 * sample.stderr[some]
-        axes.errorbar(*shown, color="C0", capsize=2, **bars)
+        error = 2 * sample.stderr[thinned]
+        points = exact.lag[thinned], sample.covariance[thinned], error
+        axes.errorbar(*points, color="C0", capsize=2, **bars)
     lag = caption.unit("lag in displacement", LENGTH, unknown=True)
     axes.set(xlabel=lag, xlim=(0, exact.lag[-1]))
     covariance = r"autocovariance  $N\,\mathrm{Cov}(F, F') / (N k)^2$"
@@ -89,11 +90,11 @@ def validation_figure(result: "Validation") -> Figure:
     scores = [score.z for score in result.scores]
     z = np.clip(scores, -_FARTHEST, _FARTHEST)
     disorder = np.array([score.ensemble.disorder for score in result.scores])
-    beside = np.random.default_rng(0).uniform(-0.3, 0.3, z.size)
+    jitter = np.random.default_rng(0).uniform(-0.3, 0.3, z.size)
     for name, color, marker in (("quenched", "C0", "o"), ("annealed", "C1", "^")):
-        here = disorder == name
+        members = disorder == name
         look: dict[str, Any] = {"color": color, "marker": marker, "alpha": 0.6}
-        left.scatter((column + beside)[here], z[here], s=9, label=name, **look)
+        left.scatter((column + jitter)[members], z[members], s=9, label=name, **look)
     said = {True: "passed", False: "FAILED"}
     names = [
         f"{v.kind.replace('_', ' ')}, {v.count}: {said[v.passed]}"

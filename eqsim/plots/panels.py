@@ -1,5 +1,5 @@
-"""What panels of pictures have in common: what a picture says besides its curves, a
-scale in units to the right, and differences in standard errors."""
+"""Common parts of pictures: captions, a scale in units to the right, and panels of
+differences in standard errors."""
 
 from typing import Any, NamedTuple
 
@@ -19,9 +19,8 @@ DOTS: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4}
 
 
 class Caption(NamedTuple):
-    """What a picture of a run says besides its curves: the title, what is simulated
-    (mathtext), units, what friction is at the interface, and of how many contacts and
-    replicas it is."""
+    """Texts of a picture of a run: its title, what is simulated (mathtext), units, the
+    quantity that friction is at the interface, and numbers of contacts and replicas."""
 
     title: str
     detail: str = ""
@@ -32,8 +31,8 @@ class Caption(NamedTuple):
 
     @classmethod
     def of(cls, file: RunFile, name: str = "", force: float | None = None) -> "Caption":
-        """Caption of a run file, titled `name` if it has no title, and whose `force` is
-        about so large."""
+        """Caption of a run file, titled `name` if it has no title; the size of a
+        typical `force` chooses the unit of the quantity."""
         ensemble, units = file.ensemble, file.units
         quantity = file.preferred(Estimate(force, None, 0))
         size = ensemble.count, file.output.replicas
@@ -51,17 +50,19 @@ class Caption(NamedTuple):
         return self.length(FORCE)
 
     def length(self, text: str) -> str:
-        """Label of a length up an axis."""
+        """Label of a vertical axis that shows a length."""
         label = with_unit(text, unit_text(self.units, LENGTH))
         return label if self.units.length else label.replace("  [", "\n[")
 
-    def unit(self, text: str, of: Dimension = LENGTH, *, unknown: bool = False) -> str:
+    def unit(
+        self, text: str, dimension: Dimension = LENGTH, *, unknown: bool = False
+    ) -> str:
         """Label with a unit; without one if that is not known, unless `unknown`."""
-        return with_unit(text, unit_text(self.units, of, unknown))
+        return with_unit(text, unit_text(self.units, dimension, unknown))
 
     @property
     def band(self) -> str:
-        """What a force is whose error band is drawn."""
+        """Legend of a force with its error band."""
         if self.replicas > 1:
             return f"mean of {self.replicas} simulated ensembles, ± 2 standard errors"
         count = f"{self.contacts:,}".replace(",", " ")
@@ -69,11 +70,11 @@ class Caption(NamedTuple):
         return f"one simulated ensemble, {between}"
 
     def along(self, name: str) -> str:
-        """Label of another axis, such as "X" or "time"."""
+        """Label of an axis by its name, such as "X" or "time"."""
         return axis(name, self.units)
 
     def beside(self, axes: Axes) -> None:
-        """Show what friction is at the interface on an axis to the right."""
+        """Show the quantity at the interface on an axis to the right."""
         if self.quantity is None:
             return
         factor, text = self.quantity.factor, self.quantity.label

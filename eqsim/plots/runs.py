@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from eqsim.engine.steady import Steady
     from eqsim.master.transient import Transient
 
-# Velocities of the stage, from which on those of slips need a logarithmic axis.
+# A slider faster than so many times the stage has a logarithmic axis of velocity.
 _FAST = 3.0
-_MOST_HOLDS = 4  # of a programme that have a panel of their own
+_MOST_HOLDS = 4  # holds of a programme that have panels of their own
 _MOST_MARKS = 60  # segments or slips that are marked
-# Mean thresholds that a panel of the transient shows, of a run that is longer by another
-# factor of `_LONG_RUN`.
+# Mean stretches at breaking that a panel of the transient shows, if the run is longer
+# than that by a factor of `_LONG_RUN`.
 _FIRST_THRESHOLDS = 6.0
 _LONG_RUN = 4.0
 _MEAN = "exact mean (renewal equation)"
@@ -82,7 +82,7 @@ def trajectory_figure(
 
 
 def replica_spread(axes: Axes, x: Array, run: Any) -> dict[str, Any]:
-    """Draw how much replicas differ, if there are several; what the legend needs."""
+    """Draw how much replicas differ, if there are several; return legend entries."""
     if run.force_replica_std is None:
         return {}
     low, high = (run.force + sign * run.force_replica_std for sign in (-1, 1))
@@ -98,8 +98,8 @@ def _compare(
     steady: Estimate,
     exact: "Transient | None",
 ) -> dict[str, Any]:
-    """Draw a curve with its error band, the steady value and the exact mean; what the
-    legend needs."""
+    """Draw a curve with its error band, the steady value and the exact mean; return
+    legend entries."""
     y, error = getattr(run, name), 2 * getattr(run, f"{name}_stderr")
     drawn: dict[str, Any] = {
         f"simulated {name}": draw_band(axes, run.X, y, error, color=color)
@@ -169,8 +169,8 @@ def _force(
     exact: "Transient | None",
     here: Any = slice(None),
 ) -> dict[str, Any]:
-    """Draw the force against `x` with its error band, and the exact mean; what the
-    legend needs."""
+    """Draw the force against `x` with its error band, and the exact mean; return legend
+    entries."""
     error = 2 * run.force_stderr[here]
     drawn: dict[str, Any] = {"": draw_band(axes, x[here], run.force[here], error)}
     if exact is not None:
@@ -186,7 +186,7 @@ def slider_figure(
     and stage against t; and the force of the spring against the velocity of the slider.
     """
     figure = Figure(figsize=(9, 8.8))
-    force, place, phase = figure.subplots(3, 1, height_ratios=[1.2, 1.0, 1.2])
+    force, displacement, phase = figure.subplots(3, 1, height_ratios=[1.2, 1.0, 1.2])
     error = 2 * run.force_stderr
     drawn: dict[str, Any] = {
         "friction of the contacts, ± 2 standard errors at the same X": draw_band(
@@ -203,11 +203,11 @@ def slider_figure(
     force.set(ylabel=caption.length("force / $(N k)$"))
     caption.beside(force)
     force.set_title(caption.heading)
-    place.plot(run.t, run.stage, color="C3")
-    (slider,) = place.plot(run.t, run.X, color="C0", linestyle="--")
+    displacement.plot(run.t, run.stage, color="C3")
+    (slider,) = displacement.plot(run.t, run.X, color="C0", linestyle="--")
     drawn["displacement of the slider"] = slider
-    place.set(ylabel=caption.length("displacement"))
-    for panel in (force, place):
+    displacement.set(ylabel=caption.length("displacement"))
+    for panel in (force, displacement):
         panel.set(xlabel=caption.along("time"), xlim=(run.t[0], run.t[-1]))
     velocity = np.gradient(run.X, run.t)
     phase.plot(velocity, run.spring, color="C3", linewidth=0.7)
@@ -241,21 +241,21 @@ def curve_figure(columns: dict[str, Array], along: str, caption: Caption) -> Fig
     heights = [2.4] + [1.3] * (len(names) - 1)
     figure = Figure(figsize=(8, 1.2 + 1.2 * sum(heights)))
     grid: dict[str, Any] = {"sharex": True, "squeeze": False}
-    every = figure.subplots(len(names), 1, height_ratios=heights, **grid)[:, 0]
+    panels = figure.subplots(len(names), 1, height_ratios=heights, **grid)[:, 0]
     x = columns[along]
-    for axes, name in zip(every, names, strict=True):
+    for axes, name in zip(panels, names, strict=True):
         line = {"linewidth": 1.2, "label": "slider"}
         draw_band(axes, x, columns[name], columns[f"{name}_error"], **line)
         axes.set(ylabel=labels[name], xlim=(x[0], x[-1]))
         if name == "pinned":
             axes.set_ylim(0, 1.05)
     if columns["force"][0] == 0 <= columns["force"].min():
-        every[0].set_ylim(bottom=0)
+        panels[0].set_ylim(bottom=0)
     if "stage" in columns:
-        every[-1].plot(x, columns["stage"], color="C3", label="stage")
-        every[-1].legend(loc="upper left")
-    every[0].set_title(caption.heading)
-    caption.beside(every[0])
-    every[-1].set_xlabel(caption.along("time" if along == "t" else along))
-    figure.align_ylabels(list(every))
+        panels[-1].plot(x, columns["stage"], color="C3", label="stage")
+        panels[-1].legend(loc="upper left")
+    panels[0].set_title(caption.heading)
+    caption.beside(panels[0])
+    panels[-1].set_xlabel(caption.along("time" if along == "t" else along))
+    figure.align_ylabels(list(panels))
     return figure

@@ -1,5 +1,5 @@
-"""How pictures look: one palette for eyes that confuse colours and for print in grey,
-no hidden offsets, 150 dpi."""
+"""Style of pictures: a palette for all kinds of colour vision and for print in grey,
+axes without offsets, 150 dpi."""
 
 import functools
 import io
@@ -12,8 +12,8 @@ from matplotlib.rcsetup import cycler
 
 from eqsim.errors import require_choice
 
-# Okabe and Ito (2008), colours that all kinds of colour vision tell apart, without the
-# yellow that paper swallows.
+# Okabe and Ito (2008), colours that all kinds of colour vision tell apart, without
+# yellow, which is faint on paper.
 BLUE = "#0072B2"
 ORANGE = "#E69F00"
 GREEN = "#009E73"
@@ -35,7 +35,7 @@ STYLE: dict[str, Any] = {
     "pdf.fonttype": 42,
     "svg.hashsalt": "eqsim",  # the same picture has the same bytes
 }
-# What pictures of commands have besides.
+# More settings, of pictures that commands draw.
 PANELS: dict[str, Any] = {
     "axes.grid": True,
     "grid.alpha": 0.3,

@@ -32,12 +32,12 @@ Points = Any  # a pandas DataFrame, one point of a sweep a row
 Column = Any  # a pandas Series
 
 _SPREAD = 30.0  # an axis whose values span a greater factor is logarithmic
-# Columns that tables of the terminal call otherwise.
+# Columns by the names that tables on a terminal give them.
 _PRINTED = {"mu": "friction_coefficient", "force": "friction_force"}
-_MOST_SERIES = len(COLORS)  # that a legend names; more have a colour bar
+_MOST_SERIES = len(COLORS)  # series in a legend; more have a colour bar
 _FINE_CURVE = 120  # points of a reference curve against velocity, which costs one solve
 _COARSE_CURVE = 40  # points of one against another key
-_MOST_SOLVES = 600
+_MOST_SOLVES = 600  # solves for the reference curves of a picture
 _REFERENCES = ("friction", "pinned", "break_stretch")
 _DASH: dict[str, Any] = {"linestyle": "none", "marker": "_"}
 _POINT_LOOK: dict[str, Any] = {"marker": "o", "markersize": 5.5}
@@ -62,7 +62,7 @@ class Sweep(NamedTuple):
 
     @property
     def unfinished(self) -> str:
-        """What is to be said of a sweep that goes on."""
+        """Note on a sweep that is not finished."""
         done, planned = len(self.table), self.planned
         return f"{done} of {planned} points so far" if done < (planned or 0) else ""
 
@@ -88,7 +88,7 @@ def read_sweep(folder: Path) -> Sweep:
             said = "is no sweep; the pictures of a run are in its folder already"
         raise InputError(f"{folder}: {said}") from None
     table = found.to_pandas().reset_index(drop=True)
-    if "friction" in table:  # a sweep of old
+    if "friction" in table:  # by eqsim, perhaps an old version
         table = table.rename(columns=RENAMED_COLUMNS)
     for name in table.select_dtypes("category"):  # folders named KEY=VALUE
         table[name] = table[name].astype(str)
@@ -192,16 +192,16 @@ def _figure(
     look, legends, bar = _looks(table, by, sweep.units)
     lines = dashes = False
     series = list(table.groupby(by, dropna=False)) if by else [((), table)]
-    for values, part in series:
+    for values, members in series:
         style, line = look(values)
-        part = part.sort_values(x)
+        members = members.sort_values(x)
         solves = _MOST_SOLVES // max(1, len(series))
-        fine = _reference_curve(sweep, part, columns, log, solves)
+        fine = _reference_curve(sweep, members, columns, log, solves)
         if fine is not None:
             how: dict[str, Any] = {"color": style["color"], "linestyle": line}
             axes.plot(fine[0], fine[1] * factor, zorder=2, **how)
         lines |= fine is not None
-        dashes |= _draw_series(axes, part, columns, style, dashed=fine is None)
+        dashes |= _draw_series(axes, members, columns, style, dashed=fine is None)
     if bar is not None:
         figure.colorbar(bar, ax=axes, label=axis(by[0], sweep.units, unknown=False))
     handles = [*legends, *_explained(table, y, lines, dashes)]
@@ -259,8 +259,8 @@ def _drawable(table: Points, x: str, y: str, by: list[str]) -> tuple[Points, lis
 def _looks(
     table: Points, by: list[str], units: Units
 ) -> tuple[Any, list[Line2D], ScalarMappable | None]:
-    """How a series looks, given the values of the columns `by`, its entries in a
-    legend, and a colour bar."""
+    """A function that gives the look of a series by its values of the columns `by`, the
+    entries of the legend, and a colour bar."""
     if not by:
         return lambda values: ({"color": COLORS[0], **_POINT_LOOK}, "-"), [], None
     groups = [sorted(table[name].unique(), key=_order) for name in by]
@@ -303,7 +303,7 @@ def _looks(
 
 
 def _order(value: Any) -> tuple[int, Any]:
-    """Numbers before what is not there, texts by the alphabet."""
+    """Key to sort values by: numbers, then texts, then missing values."""
     if isinstance(value, str):
         return 1, value
     return (2, "") if value is None or value != value else (0, value)
@@ -316,30 +316,33 @@ def _index(values: list[Any], value: Any) -> int:
 
 def _draw_series(
     axes: Axes,
-    part: Points,
+    members: Points,
     columns: tuple[str, str],
     style: dict[str, Any],
     dashed: bool,
 ) -> bool:
-    """Draw one series; whether its references are dashes."""
+    """Draw one series; return whether its references are dashes."""
     (x, y), color = columns, style["color"]
-    dashed &= f"{y}_reference" in part and bool(part[f"{y}_reference"].notna().any())
+    reference = f"{y}_reference"
+    dashed &= reference in members and bool(members[reference].notna().any())
     if dashed:
-        known = part.drop_duplicates(x).dropna(subset=f"{y}_reference")
-        dash = known[x], known[f"{y}_reference"]
-        axes.plot(*dash, color=color, markersize=13, zorder=2, **_DASH)
-    bars = 2 * part[f"{y}_stderr"].astype(float) if f"{y}_stderr" in part else None
+        known = members.drop_duplicates(x).dropna(subset=reference)
+        axes.plot(
+            known[x], known[reference], color=color, markersize=13, zorder=2, **_DASH
+        )
+    stderr = f"{y}_stderr"
+    bars = 2 * members[stderr].astype(float) if stderr in members else None
     bar: dict[str, Any] = {"fmt": "none", "ecolor": color, "capsize": 2.5}
-    axes.errorbar(part[x], part[y], bars, zorder=3, **bar)
-    unsure = part["status"] == "unreliable"
-    for points, fill in ((part[~unsure], color), (part[unsure], "white")):
+    axes.errorbar(members[x], members[y], bars, zorder=3, **bar)
+    unsure = members["status"] == "unreliable"
+    for points, fill in ((members[~unsure], color), (members[unsure], "white")):
         how: dict[str, Any] = {"linestyle": "none", "markerfacecolor": fill, **style}
         axes.plot(points[x], points[y], zorder=4, **how)
     return dashed
 
 
 def _explained(table: Points, y: str, lines: bool, dashes: bool) -> list[Line2D]:
-    """What lines, dashes, bars and open markers are, where there are any."""
+    """Legend entries of lines, dashes, bars and open markers, where there are any."""
     bars = f"{y}_stderr" in table and table[f"{y}_stderr"].notna().any()
     mark: dict[str, Any] = {"linestyle": "none", "markersize": 11}
     looks = {
@@ -359,27 +362,28 @@ def _explained(table: Points, y: str, lines: bool, dashes: bool) -> list[Line2D]
 
 
 def _reference_curve(
-    sweep: Sweep, part: Points, columns: tuple[str, str], log: bool, solves: int
+    sweep: Sweep, members: Points, columns: tuple[str, str], log: bool, solves: int
 ) -> tuple[Array, Array] | None:
     """The reference of a series between its points, where it takes little time."""
     x, y = columns
-    low, high = float(part[x].min()), float(part[x].max())
+    low, high = float(members[x].min()), float(members[x].max())
     if sweep.file is None or keys(sweep.file).get(x) is not float or not low < high:
         return None
-    if f"{y}_reference" not in part or part[f"{y}_reference"].isna().all():
+    reference = f"{y}_reference"
+    if reference not in members or members[reference].isna().all():
         return None
     over_velocity = x == "drive.velocity"
     count = _FINE_CURVE if over_velocity else min(_COARSE_CURVE, solves)
-    if count < 2 * len(part) and not over_velocity:
+    if count < 2 * len(members) and not over_velocity:
         return None
     grid = np.geomspace(low, high, count) if log else np.linspace(low, high, count)
-    grid = np.unique(np.concatenate((grid[1:-1], part[x].to_numpy(float))))
-    row = part.iloc[0]
+    grid = np.unique(np.concatenate((grid[1:-1], members[x].to_numpy(float))))
+    row = members.iloc[0]
     try:
         if over_velocity:
             return grid, _curve_averages(sweep, row, y, {}, grid)
-        found = [_curve_averages(sweep, row, y, {x: value}) for value in grid.tolist()]
-        return grid, np.concatenate(found)
+        values = [_curve_averages(sweep, row, y, {x: key}) for key in grid.tolist()]
+        return grid, np.concatenate(values)
     except InputError:
         return None
 
@@ -402,9 +406,9 @@ def _curve_averages(
     found = curve(ensemble, velocities)
     if y in _REFERENCES:
         return np.asarray(getattr(found, y))
-    for one in file.quantities:
-        if one.name == y:
-            return np.asarray(found.friction * one.factor)
+    for quantity in file.quantities:
+        if quantity.name == y:
+            return np.asarray(found.friction * quantity.factor)
     raise InputError(f"{y}: is not known along a curve")
 
 
@@ -425,14 +429,14 @@ def _point(sweep: Sweep, row: Any, more: dict[str, Any]) -> RunFile:
 
 
 def _stress(sweep: Sweep, y: str, largest: float) -> Quantity | None:
-    """A shear stress in a unit fit for it: `factor` times what the table holds."""
+    """The shear stress in a suitable unit; `factor` converts the column of the table."""
     known = sweep.file.quantities if sweep.file and y == "shear_stress" else ()
     found = (one._replace(factor=1.0).near(largest) for one in known if one.name == y)
     return next(found, None)
 
 
 def _friction_beside(sweep: Sweep, table: Points) -> Quantity | None:
-    """What friction is at the interface, if that is the same of all points."""
+    """The quantity that friction is at the interface, if all points share it."""
     names = ("contacts.count", "contacts.stiffness")
     several = any(name in table and table[name].nunique() > 1 for name in names)
     if sweep.file is None or several:
@@ -461,8 +465,8 @@ def _hashable(value: Any) -> Any:
 
 
 def _texts(column: Column) -> dict[Any, str]:
-    """Its values as they are printed: numbers with six digits, or as many as tell
-    neighbours apart."""
+    """Values of a column as they are printed: numbers with six digits, or as many as
+    tell neighbours apart."""
     values = [_hashable(value) for value in column.drop_duplicates()]
     texts = {value: _digits_of(value, 6) for value in values}
     for digits in range(7, 18):
@@ -475,7 +479,7 @@ def _texts(column: Column) -> dict[Any, str]:
 
 
 def _values(column: Column) -> str:
-    """Some of its values, to choose from."""
+    """Some values of a column, to choose from in a message."""
     texts = _texts(column)
     found = [
         texts[_hashable(value)] for value in column.drop_duplicates().sort_values()

@@ -11,20 +11,20 @@ from eqsim.io import terminal
 from eqsim.io.runfile import RunFile
 from eqsim.io.units import Row
 from eqsim.master.steady import Reference, reference
-from eqsim.workflows.report import FileResult, if_any
+from eqsim.workflows.report import FileResult, Solved, if_any
 
 
 @dataclass(frozen=True)
 class SteadyResult(FileResult):
-    """Simulated steady averages, and the exact ones or None and why."""
+    """Simulated steady averages beside the exact ones, if those are known."""
 
     file: RunFile
     steady: Steady
-    exact: tuple[Reference | None, str]
+    exact: Solved[Reference]
 
     def scores(self) -> dict[str, float | None]:
         """z of each average, None where there is no exact value."""
-        found, exact = self.steady.averages(), self.exact[0]
+        found, exact = self.steady.averages(), self.exact.solution
         if exact is None:
             return dict.fromkeys(found)
         levels = {name: getattr(exact, name) for name in found}
@@ -36,21 +36,22 @@ class SteadyResult(FileResult):
         }
 
     def summary(self) -> dict[str, Any]:
-        found, exact = self.steady, self.exact[0]
-        averages, divergence = found.averages(), self.ensemble.divergence
+        steady, exact = self.steady, self.exact.solution
+        averages, divergence = steady.averages(), self.ensemble.divergence
         values = {
             name: getattr(exact, name).value if exact else None for name in averages
         }
         return {
             **{name: estimate.as_dict() for name, estimate in averages.items()},
-            **{"lives": found.lives, "seed": found.seed, "reached": found.reached},
+            **{"lives": steady.lives, "seed": steady.seed, "reached": steady.reached},
             **({"divergence": divergence} if divergence else {}),
             **{"reference": values, "z": self.scores()},
-            **self.file.physical(found.friction, values["friction"]),
+            **self.file.physical(steady.friction, values["friction"]),
         }
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
-        z, exact, rows = self.scores(), self.exact[0], self.file.rows(self.steady)
+        exact, rows = self.exact.solution, self.file.rows(self.steady)
+        z = self.scores()
         yield "", "contacts", *unit_column(rows), "relative error", "reference", "z"
         for name, row in rows:
             found, level = getattr(self.steady, name), getattr(exact, name, None)
@@ -62,13 +63,12 @@ class SteadyResult(FileResult):
             )
 
     def notes(self) -> Iterator[str]:
-        found, reason = self.steady, self.exact[1]
-        if reason:
-            yield f"no reference: {reason}"
+        if self.exact.reason:
+            yield f"no reference: {self.exact.reason}"
         if self.ensemble.divergence:
             yield self.ensemble.divergence
-        speed = terminal.lives(found.lives, found.engine_seconds)
-        yield f"{speed}, seed {found.seed}"
+        speed = terminal.lives(self.steady.lives, self.steady.engine_seconds)
+        yield f"{speed}, seed {self.steady.seed}"
 
 
 @dataclass(frozen=True)
@@ -79,11 +79,11 @@ class ReferenceResult(FileResult):
     exact: Reference
 
     def summary(self) -> dict[str, Any]:
-        found = {**self.exact.averages(), "f_k": self.exact.f_k}
-        errors = {name: estimate.stderr for name, estimate in found.items()}
+        averages = {**self.exact.averages(), "f_k": self.exact.f_k}
+        errors = {name: estimate.stderr for name, estimate in averages.items()}
         divergence = self.ensemble.divergence
         return {
-            **{name: estimate.value for name, estimate in found.items()},
+            **{name: estimate.value for name, estimate in averages.items()},
             **{"error": errors, "method": self.exact.method},
             **({"divergence": divergence} if divergence else {}),
             **self.file.physical(self.exact.friction),
@@ -99,16 +99,16 @@ class ReferenceResult(FileResult):
 
     def notes(self) -> Iterator[str]:
         yield f"method: {self.exact.method}"
-        yield "error: bound of the solver's; f_k: F/(N_c k), friction per pinned contact"
+        yield "error: bound of the numerical error; f_k: F/(N_c k), friction per pinned contact"
         if self.ensemble.divergence:
             yield self.ensemble.divergence
 
 
-def simulated(file: RunFile, **how: Any) -> SteadyResult:
-    """Simulated steady averages of a run file, and the exact ones; `how` is passed to
-    `steady`. Raises InputError."""
+def simulated(file: RunFile, **settings: Any) -> SteadyResult:
+    """Simulated steady averages of a run file, and the exact ones; `settings` are those
+    of `steady`. Raises InputError."""
     ensemble, drive = file.ensemble, file.constant_drive
-    found = steady(ensemble, drive, seed=file.output.seed, **how)
+    found = steady(ensemble, drive, seed=file.output.seed, **settings)
     variance = found.force_variance.value is not None
     exact = if_any(lambda: reference(ensemble, drive, variance=variance))
     return SteadyResult(file, found, exact)
@@ -121,5 +121,5 @@ def exact(file: RunFile, variance: bool) -> ReferenceResult:
 
 
 def unit_column(rows: list[tuple[str, Row]]) -> tuple[str, ...]:
-    """The column of units, if the rows have one."""
+    """Heading of the column of units, if the rows have one."""
     return ("unit",) * any(row.unit for _, row in rows)

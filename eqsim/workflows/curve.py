@@ -1,4 +1,4 @@
-"""Exact curves of a run file: the mean force and the pinned fraction on the way, as
+"""Exact curves of a run file: mean force and pinned fraction along the drive, as
 columns."""
 
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,7 @@ with lazily():
 
 
 _SHOWN = ("t", "X", "stage", "force", "force_error", "pinned", "pinned_error")
-_CURVE_PARTS = 10  # of the curve at whose ends it is shown
+_CURVE_PARTS = 10  # intervals between the rows that a table shows
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class CurveResult(FileResult):
             )
 
     def notes(self) -> Iterator[str]:
-        yield "columns end in _error: bound of the solver's"
+        yield "columns ending in _error: bounds of the numerical error"
 
     def title(self, name: str) -> str:
         return self.file.title or name
@@ -68,11 +68,11 @@ def curve(file: RunFile, *, closure: bool = False) -> CurveResult:
     """The exact mean of a run (`master.transient`), or the closure of annealed contacts
     that age (`master.closure`). Raises InputError where there is no such curve."""
     ensemble, points = file.ensemble, file.output.points
-    found: Any = (
+    solved: Any = (
         solve_closure(ensemble, file.constant_drive, points)
         if closure
         else transient(ensemble, file.drive, points)
     )
-    every = {field.name: getattr(found, field.name) for field in fields(found)}
-    known = {name: column for name, column in every.items() if column is not None}
+    columns = {field.name: getattr(solved, field.name) for field in fields(solved)}
+    known = {name: column for name, column in columns.items() if column is not None}
     return CurveResult(file, "closure" if closure else "transient", known)

@@ -18,7 +18,7 @@ from eqsim.master.steady import reference
 from eqsim.model.drive import Drive
 from eqsim.model.elastic import Elastic
 from eqsim.numerics.tables import Array
-from eqsim.workflows.report import Progress, SimulatedFile
+from eqsim.workflows.report import Progress, SimulatedFile, Solved
 
 with lazily():
     from eqsim.plots import blocks as draw
@@ -39,7 +39,7 @@ class ElasticResult(SimulatedFile):
 
     file: RunFile
     trajectory: ElasticTrajectory
-    exact = (None, "")
+    exact = Solved(None)
 
     @property
     def elastic(self) -> Elastic:
@@ -70,7 +70,7 @@ class ElasticResult(SimulatedFile):
         have no value for a discrete law, whose equal thresholds break together from a
         fresh start on.
         """
-        found, elastic = self.trajectory, self.elastic
+        run, elastic = self.trajectory, self.elastic
         size = single = Estimate(None, None, 0, reliable=False)
         if self.sizes.size:
             contacts = elastic.contacts_per_block(self.ensemble.count)
@@ -78,34 +78,34 @@ class ElasticResult(SimulatedFile):
             size = Estimate(elastic.mean_size, abs(few.mean), 0)
             single = Estimate(float(self.sizes[0]), abs(few.single), 0)
         exact = {"friction": self.friction, "size": size, "single": single}
-        return {name: (getattr(found, name), known) for name, known in exact.items()}
+        return {name: (getattr(run, name), value) for name, value in exact.items()}
 
     def summary(self) -> dict[str, Any]:
-        found, averages = self.trajectory, self.averages()
+        run, averages = self.trajectory, self.averages()
         friction, exact = averages["friction"]
         return {
             "title": self.file.title,
             **{name: estimate.as_dict() for name, (estimate, _) in averages.items()},
-            "force_reliable": found.force_reliable,
+            "force_reliable": run.force_reliable,
             "reference": {name: exact.value for name, (_, exact) in averages.items()},
             **self.file.physical(friction, exact.value),
             "z": {name: difference(*pair) for name, pair in averages.items()},
-            "avalanches": len(found.avalanches["breaks"]),
+            "avalanches": len(run.avalanches["breaks"]),
             **self.made(),
         }
 
     def tables(self) -> dict[str, Any]:
-        found = self.trajectory
-        more = {"avalanches": found.avalanches, "blocks": found.blocks}
-        return {"trajectory": found.columns(), **more}
+        run = self.trajectory
+        more = {"avalanches": run.avalanches, "blocks": run.blocks}
+        return {"trajectory": run.columns(), **more}
 
     def figures(self, title: str) -> dict[str, Any]:
-        found = self.trajectory
+        run = self.trajectory
         caption = panels.Caption.of(self.file, title, self.friction.value)
         return {
-            "force": draw.elastic_figure(found, self.friction, caption),
-            "avalanches": draw.avalanches_figure(found, self.sizes, caption),
-            "fronts": draw.fronts_figure(found, *self.elastic.shape, caption),
+            "force": draw.elastic_figure(run, self.friction, caption),
+            "avalanches": draw.avalanches_figure(run, self.sizes, caption),
+            "fronts": draw.fronts_figure(run, *self.elastic.shape, caption),
         }
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
@@ -117,19 +117,19 @@ class ElasticResult(SimulatedFile):
             yield _AVERAGE_ROWS[name], found, *known
 
     def notes(self) -> Iterator[str]:
-        found = self.trajectory
-        breaks, blocks = found.avalanches["breaks"], found.avalanches["blocks"]
-        if not found.friction.reliable:
+        run = self.trajectory
+        breaks, blocks = run.avalanches["breaks"], run.avalanches["blocks"]
+        if not run.friction.reliable:
             yield "unreliable: the second half is too short to forget the fresh start, or to tell its errors"
         if breaks.size:
-            mean, of = f"{blocks.mean():.3g}", f"{self.elastic.count} blocks"
             yield (
                 f"{breaks.size} avalanches, the largest of {breaks.max()} breaks; "
-                f"{mean} of {of} take part in the mean, {blocks.max()} at most"
+                f"{blocks.mean():.3g} of {self.elastic.count} blocks take part in the "
+                f"mean, {blocks.max()} at most"
             )
         yield (
-            "exact: friction of any contacts, avalanches of infinitely many; errors: "
-            "what n contacts a block may change"
+            "expected: friction of any number of contacts, avalanches of infinitely many; "
+            "errors: the change for n contacts per block"
         )
         yield from self.speed()
 
@@ -137,8 +137,7 @@ class ElasticResult(SimulatedFile):
 def run_elastic(
     file: RunFile, drive: Drive, *, threads: int, max_lives: float, progress: Progress
 ) -> ElasticResult:
-    """Simulate a run file with coupled blocks, whose `drive` has some. Raises
-    InputError."""
+    """Simulate a run file whose `drive` has coupled blocks. Raises InputError."""
     ensemble, output = file.ensemble, file.output
     _, expected = check_elastic(ensemble, drive, output, max_lives)
     progress(0, expected)

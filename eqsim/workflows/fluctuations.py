@@ -1,4 +1,4 @@
-"""What `eqsim fluctuations` computes: the autocovariance of the stationary force, exact
+"""Results of `eqsim fluctuations`: the autocovariance of the stationary force, exact
 and of simulated contacts."""
 
 import math
@@ -30,20 +30,20 @@ with lazily():
 
 _LAG_ROWS = 8  # lags that a table shows
 _LAG_CYCLES = 5.0  # mean cycles of pinned and detached to which lags extend by default
-# Contacts of a simulated ensemble: the fewer, the more ensembles of the same lives.
+# Contacts of a simulated ensemble: fewer leave more ensembles for as many lives.
 _TOGETHER = 20
 _MOST_ENSEMBLES = 20_000
 _FEWEST_ENSEMBLES = 100
-# an ensemble that makes more of the scatter has siblings that were not seen
+# share of the scatter above which one ensemble, or contacts that were not met, decide
 _DOMINANT_SHARE = 0.1
-_UNMET = 4.0  # contacts expected, below which a sample may have met none
+_UNMET = 4.0  # expected number of contacts below which a sample may hold none
 
 
 @dataclass(frozen=True)
 class SampledCovariance:
-    """The autocovariance of many small ensembles, N times that of F/(N k), at the lags
-    of the exact one, arrays (points,) (length^2); `reliable` is False where few of the
-    ensembles make its scatter."""
+    """Autocovariance of many small ensembles, N times that of F/(N k), at the lags of
+    the exact one, arrays (points,) (length^2); `reliable` is False if a few ensembles
+    dominate its scatter."""
 
     covariance: Array
     stderr: Array
@@ -55,8 +55,8 @@ class SampledCovariance:
 
 @dataclass(frozen=True)
 class FluctuationsResult(FileResult):
-    """A run file whose fluctuations were computed; `sample` is None if nothing was
-    simulated, and `reason` why."""
+    """Fluctuations of a run file, exact and simulated; if nothing was simulated, `sample`
+    is None for the `reason` given. `asked` holds lag, points and lives."""
 
     file: RunFile
     exact: Fluctuations
@@ -67,16 +67,16 @@ class FluctuationsResult(FileResult):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What a replay needs to know."""
+        """Settings of the call, with which `eqsim replay` repeats it."""
         return {"run": self.file.settings, **self.asked}
 
     def estimates(self) -> list[Estimate]:
         """The simulated covariance at each lag; none if there is no sample."""
-        found = self.sample
-        if found is None:
+        sample = self.sample
+        if sample is None:
             return []
-        pairs = zip(found.covariance.tolist(), found.stderr.tolist(), strict=True)
-        n, reliable = found.ensembles, found.reliable
+        pairs = zip(sample.covariance.tolist(), sample.stderr.tolist(), strict=True)
+        n, reliable = sample.ensembles, sample.reliable
         return [Estimate(*pair, n, reliable=reliable) for pair in pairs]
 
     @property
@@ -98,11 +98,11 @@ class FluctuationsResult(FileResult):
     def columns(self) -> dict[str, Array]:
         """The table: `lag`, `covariance`, `error`, and if contacts were simulated
         `simulated`, `simulated_stderr`."""
-        found, sample = self.exact.columns(), self.sample
+        columns, sample = self.exact.columns(), self.sample
         if sample:
-            found["simulated"] = sample.covariance
-            found["simulated_stderr"] = sample.stderr
-        return found
+            columns["simulated"] = sample.covariance
+            columns["simulated_stderr"] = sample.stderr
+        return columns
 
     @property
     def force_std(self) -> float:
@@ -139,18 +139,16 @@ class FluctuationsResult(FileResult):
         return {"fluctuations": draw(self.exact, self.sample, caption)}
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
-        """Some lags, from 0, where it is the variance, on."""
-        exact, found, z = self.exact, self.estimates(), self.z
+        """Some lags, from 0 on, where the covariance is the variance."""
+        exact, estimates, z = self.exact, self.estimates(), self.z
         yield "lag", "exact", "simulated", "z"
         for i in terminal.some(exact.lag.size, _LAG_ROWS - 1):
-            both = (found[i], terminal.score(z[i])) if found else ("none", "none")
+            both = (estimates[i], terminal.score(z[i])) if estimates else ("none",) * 2
             yield f"{exact.lag[i]:.6g}", f"{exact.covariance[i]:.6g}", *both
 
     def notes(self) -> Iterator[str]:
-        contacts, sample = (
-            f"{terminal.count(self.ensemble.count)} contacts",
-            self.sample,
-        )
+        contacts = f"{terminal.count(self.ensemble.count)} contacts"
+        sample = self.sample
         yield "N times the autocovariance of F/(N k) over a lag in displacement; at lag 0 the variance"
         yield f"standard deviation of F/(N k) with {contacts}: {self.force_std:.6g}"
         yield f"correlation length, the integral over these lags over the variance: {self.correlation_length:.6g}"
@@ -176,8 +174,8 @@ def run_fluctuations(
     contacts, of which about `lives` lives are drawn, at `points` lags from 0 to `lag`
     (length), by default five mean cycles of pinned and detached.
 
-    Raises InputError without a constant velocity, for contacts that there is no such
-    theory of, and for values out of range.
+    Raises InputError without a constant velocity, for contacts without such a theory,
+    and for values out of range.
     """
     ensemble, drive = file.ensemble, file.constant_drive
     require_number("--lives", lives, least=0.0, most=1e10)
@@ -185,7 +183,7 @@ def run_fluctuations(
         lag = default_lag(ensemble, drive)
     require_number("--lag", lag, above=0.0)
     exact = fluctuations(ensemble, replace(drive, distance=lag), points)
-    sample, reason = None, "" if lives else "none asked for"
+    sample, reason = None, "" if lives else "--lives = 0"
     if lives:
         try:
             far = replace(drive, distance=lag)
@@ -205,9 +203,9 @@ def default_lag(ensemble: Ensemble, drive: Drive) -> float:
 def sampled(
     ensemble: Ensemble, drive: Drive, points: int, lives: float, seed: int, threads: int
 ) -> SampledCovariance:
-    """The autocovariance at `points` lags up to the drive's distance, from products
-    about the exact mean, of forces of independent stationary ensembles over twice that
-    distance.
+    """Estimate the autocovariance at `points` lags up to the drive's distance, from
+    independent stationary ensembles over twice that distance. Products are of forces
+    less their exact mean: that of the sample would bias them.
 
     Raises InputError where an ensemble cannot be simulated so.
     """
@@ -215,41 +213,39 @@ def sampled(
     level = known(exact.friction)
     small = replace(ensemble, count=_TOGETHER)
     long = replace(drive, distance=2.0 * drive.over(ensemble), start="stationary")
-    each = predicted_lives(small, long)
-    enough, most = max(lives / each, _FEWEST_ENSEMBLES), 1e7 // (2 * points)
-    ensembles = int(min(enough, _MOST_ENSEMBLES, most))
+    wanted = max(lives / predicted_lives(small, long), _FEWEST_ENSEMBLES)
+    affordable = 1e7 // (2 * points)
+    ensembles = int(min(wanted, _MOST_ENSEMBLES, affordable))
     how: dict[str, Any] = {"seed": seed, "replicas": ensembles, "threads": threads}
     run = trajectory(small, long, points=2 * points - 1, **how)
     assert run.force_replicas is not None
-    off = run.force_replicas - level
+    dF = run.force_replicas - level
     products = np.array(  # (points, ensembles)
-        [(off[:, :points] * off[:, j : j + points]).mean(1) for j in range(points)]
+        [(dF[:, :points] * dF[:, j : j + points]).mean(1) for j in range(points)]
     )
-    found = _TOGETHER * products
-    about = (products[0] - products[0].mean()) ** 2
-    stderr = found.std(axis=1, ddof=1) / math.sqrt(ensembles)
+    covariances = _TOGETHER * products
+    scatter = (products[0] - products[0].mean()) ** 2
+    stderr = covariances.std(axis=1, ddof=1) / math.sqrt(ensembles)
     unmet = _unmet(ensemble, drive.velocity, exact, _TOGETHER * ensembles, run.lives)
-    even = about.max() < _DOMINANT_SHARE * about.sum()
+    even = scatter.max() < _DOMINANT_SHARE * scatter.sum()
     reliable = bool(even and unmet < _DOMINANT_SHARE * known(exact.force_variance))
     counts = _TOGETHER, ensembles, run.lives
     return SampledCovariance(
-        found.mean(axis=1), np.hypot(stderr, unmet), reliable, *counts
+        covariances.mean(axis=1), np.hypot(stderr, unmet), reliable, *counts
     )
 
 
 def _unmet(
     ensemble: Ensemble, velocity: float, exact: Reference, initial: int, lives: int
 ) -> float:
-    """The part of the mean square force (length^2) that a sample cannot know of: that
-    of contacts so strong that few are expected among `initial` contacts of the
-    stationary state and the `lives` that begin later."""
+    """Part of the mean square force (length^2) that a sample may miss: that of contacts
+    so strong that few are expected among `initial` contacts of the stationary state and
+    the `lives` that begin later."""
     if ensemble.fluctuates:
         return 0.0  # thresholds of gamma laws, whose lives take paths
     stretch = known(exact.break_stretch) if ensemble.self_consistent else None
-    born, unit = (
-        births(contacts(ensemble, velocity, stretch)),
-        ensemble.thresholds.scale,
-    )
+    born = births(contacts(ensemble, velocity, stretch))
+    unit = ensemble.thresholds.scale
     travel = born.travel
     mean_square = born.birth**2 + travel * (born.birth + travel / 3.0)
     square = born.stiffness**2 * travel * mean_square

@@ -1,4 +1,4 @@
-"""The static peak of a simulated run, as `master.peak` has it of the exact mean."""
+"""The static peak of a simulated run; `eqsim.master.peak` has that of the exact mean."""
 
 import math
 
@@ -10,33 +10,31 @@ from eqsim.master.peak import PEAK_WINDOW, Peak, tip, top_of, vertex
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 
-_PLATEAU = 0.25  # of the window, over which a reliable maximum may extend
-_KINK = 0.05  # of the height, which a reliable maximum may miss
+_PLATEAU = 0.25  # share of the window over which a reliable maximum may extend
+_KINK = 0.05  # share of its height by which a reliable maximum may be missed
 
 
-def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | None:
+def static_peak(ensemble: Ensemble, drive: Drive, run: Trajectory) -> Peak | None:
     """The first maximum of the force of a run after a fresh start, within four rms
     thresholds, with standard errors; without values where no maximum is seen, and None
-    of a stationary start, which has no peak. The grid of the run needs several points
-    on the way to the peak.
+    for a stationary start, which has no peak. The grid of the run needs several points
+    before the peak.
     """
     if drive.start == "stationary":
         return None
     period = ensemble.thresholds.rms
-    size = int(np.searchsorted(found.X, PEAK_WINDOW * period, side="right"))
+    size = int(np.searchsorted(run.X, PEAK_WINDOW * period, side="right"))
     X, force, stderr = (
-        column[:size] for column in (found.X, found.force, found.force_stderr)
+        column[:size] for column in (run.X, run.force, run.force_stderr)
     )
     top = top_of(X, force, 2.0 * stderr, period)
     if not 0 < top < size - 1:
-        none = Estimate(None, None, found.lives, reliable=False)
+        none = Estimate(None, None, run.lives, reliable=False)
         return Peak(none, none)
     error = float(stderr[top])
     fallen = np.flatnonzero(force < force[top] - 4.0 * error)
-    first, last = (
-        max(fallen[fallen < top], default=-1) + 1,
-        min(fallen[fallen > top], default=size),
-    )
+    first = max(fallen[fallen < top], default=-1) + 1
+    last = min(fallen[fallen > top], default=size)
     peak, place = extreme(X[:last], force[:last], stderr[:last], 1.0)
     where, height = known(place), known(peak)
     if height == force[top]:  # no neighbours that are as high within errors
@@ -44,19 +42,16 @@ def static_peak(ensemble: Ensemble, drive: Drive, found: Trajectory) -> Peak | N
         error = math.hypot(error, height - force[top])
     else:
         error = peak.stderr or error
-    near = X[first:last][
-        force[first:last] >= force[top] - 2.0 * stderr[top]
-    ]  # on a plateau it may be anywhere
+    # on a plateau the maximum may be anywhere
+    high = force[first:last] >= force[top] - 2.0 * stderr[top]
+    extent = float(np.ptp(X[first:last][high]))
     beside, missed = tip(ensemble, X, force, top)
-    spread, error = (
-        max(place.stderr or 0.0, 0.5 * float(np.ptp(near)), beside),
-        math.hypot(error, missed),
-    )
-    reliable = (
-        found.force_reliable and float(np.ptp(near)) < _PLATEAU * PEAK_WINDOW * period
-    )  # else the largest of many
+    spread = max(place.stderr or 0.0, 0.5 * extent, beside)
+    error = math.hypot(error, missed)
+    # on a longer plateau the largest of many noisy values is too large
+    reliable = run.force_reliable and extent < _PLATEAU * PEAK_WINDOW * period
     reliable &= missed < _KINK * height  # else a later one may be higher between points
-    lives = found.lives
+    lives = run.lives
     return Peak(
         Estimate(where, spread, lives, None, reliable),
         Estimate(height, error, lives, None, reliable),

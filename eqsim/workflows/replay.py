@@ -1,5 +1,5 @@
-"""Run again what made a table, from its provenance alone, and compare the two bit by
-bit."""
+"""Repeat the call that made a table, from its provenance alone, and compare the tables
+bit by bit."""
 
 import dataclasses
 import json
@@ -28,8 +28,8 @@ _TIMES = ("seconds",)  # columns that no repetition can reproduce
 _UNREADABLE = (OSError, KeyError, ValueError, TypeError, RecursionError)
 Origin = dict[str, Any]  # the provenance of a table
 Table = Any  # a pandas DataFrame, or columns by name
-# Makes a table again, from its provenance, the table, threads or processes, and
-# progress.
+# A function that makes a table again from its provenance, the table, the number of
+# threads or processes, and progress.
 Repeat = Callable[[Origin, Table, int, Progress], Table]
 
 
@@ -40,14 +40,14 @@ class Replay:
     Attributes
     ----------
     command : str
-        That made it.
+        Name of the command that made the table.
     rows : int
-        Of the table.
+        Number of rows of the table.
     differences : dict
-        For each column that is not the same to the last bit, in how many rows and by
-        how much at most (None where it is not a number).
+        For each column that is not the same to the last bit, the number of rows that
+        differ and the largest difference (None where it is not a number).
     versions : dict
-        Those that differ, as (then, now).
+        Versions of packages that differ, as (then, now).
     """
 
     command: str
@@ -73,15 +73,13 @@ def replay(
     Parameters
     ----------
     path : Path or str
-        A file that eqsim wrote. Files that its run file names are looked for where they
-        were.
+        A file that eqsim wrote. Files that its run file names must be where they were.
     workers : int
         Threads or processes.
     progress : callable, optional
-        `progress(done, total)`.
+        Called as `progress(done, total)`.
     others : mapping, optional
-        How to repeat what programs beside this one have written, by the name of the
-        command.
+        Functions that repeat tables of other programs, by the name of the command.
 
     Returns
     -------
@@ -90,7 +88,7 @@ def replay(
     Raises
     ------
     InputError
-        If the file is none of eqsim's, or what made it cannot be repeated.
+        If eqsim did not write the file, or the call that did cannot be repeated.
 
     Examples
     --------
@@ -147,40 +145,40 @@ def _replayed_table(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, Or
             return table.to_pandas(), origin
     except (*_UNREADABLE, pyarrow.ArrowException):
         command = None
-    said = "is not a Parquet file that eqsim has written, or is damaged"
+    problem = "is not a Parquet file that eqsim has written, or is damaged"
     if command == "figures":
         again = "`python -m analysis.figures --replay` makes it again"
-        said = f"holds a figure of the paper; {again}"
+        problem = f"holds a figure of the paper; {again}"
     elif isinstance(command, str):
         only = f"only tables of {known} can be replayed"
-        said = f"was written by `eqsim {command}`; {only}"
-    raise InputError(f"{path}: {said}")
+        problem = f"was written by `eqsim {command}`; {only}"
+    raise InputError(f"{path}: {problem}")
 
 
 def compare(table: Table, again: Table) -> dict[str, tuple[int, float | None]]:
     """Columns of two tables that differ, as in `Replay`. A column or row that only one
     of them has differs."""
-    found: dict[str, tuple[int, float | None]] = {}
+    differences: dict[str, tuple[int, float | None]] = {}
     for name in [*table, *(name for name in again if name not in table)]:
         if name in _TIMES:
             continue
         if name not in table or name not in again or len(table) != len(again):
-            found[name] = (max(len(table), len(again)), None)
+            differences[name] = (max(len(table), len(again)), None)
             continue
         then, now = table[name], again[name]
         other = ~((then == now) | (then.isna() & now.isna()))
         if other.any():
             numbers = then.dtype.kind in "iuf" and now.dtype.kind in "iuf"
             by = float((then - now)[other].abs().max(skipna=False)) if numbers else nan
-            found[name] = (int(other.sum()), None if isnan(by) else by)
-    return found
+            differences[name] = (int(other.sum()), None if isnan(by) else by)
+    return differences
 
 
 def _run(origin: Origin, table: Table, workers: int, progress: Progress) -> Table:
     file = stored(origin["settings"], origin["folder"])
     result = run(file, threads=workers, max_lives=1e300, progress=progress)
     names = set(table)
-    return max(result.tables().values(), key=lambda one: len(names & set(one)))
+    return max(result.tables().values(), key=lambda columns: len(names & set(columns)))
 
 
 def _reference(origin: Origin, table: Table, _: int, progress: Progress) -> Table:
@@ -210,8 +208,8 @@ def _validate(origin: Origin, _: Table, workers: int, progress: Progress) -> Tab
 
 
 def _sweep(origin: Origin, table: Table, workers: int, progress: Progress) -> Table:
-    """With the identities of then, of which seeds are made: they change with the
-    version of results."""
+    """Repeat a sweep with the stored identities of its points: seeds are made of them,
+    and they change with the version of results."""
     from pyarrow import parquet as pq
 
     settings = origin["settings"]

@@ -1,9 +1,9 @@
-"""How a result of a run file is shown and stored: every kind of result says what its
-table, its JSON, its files and its pictures are, and nobody else does."""
+"""Interface of the results of commands on a run file: every kind of result defines its
+table, JSON, files and pictures."""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from eqsim.errors import InputError
 from eqsim.io import storage, terminal
@@ -21,10 +21,17 @@ Progress = Callable[[int, float], None]
 Exact = TypeVar("Exact")
 
 
+class Solved(NamedTuple, Generic[Exact]):
+    """An exact `solution`, or None and the `reason` why there is none."""
+
+    solution: Exact | None
+    reason: str = ""
+
+
 class FileResult:
     """The result of a command on a run file `file`."""
 
-    command: ClassVar[str]  # that made it
+    command: ClassVar[str]  # name of the command that made it
     summarised: ClassVar[bool] = True  # whether its folder has a summary.json
     file: RunFile
 
@@ -40,7 +47,7 @@ class FileResult:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What a replay needs to know."""
+        """Settings of the call, with which `eqsim replay` repeats it."""
         return self.file.settings
 
     def summary(self) -> dict[str, Any]:
@@ -60,12 +67,12 @@ class FileResult:
         raise NotImplementedError
 
     def notes(self) -> Iterator[str]:
-        """What is to be said below the table."""
+        """Lines below the table."""
         yield from ()
 
     def report(self, name: str, *more: str) -> terminal.Report:
-        """What a terminal shows, titled `name` unless the run file has a title, with
-        `more` notes."""
+        """Table and notes for a terminal, titled `name` unless the run file has a title,
+        with `more` notes."""
         head, *rows = self.rows()
         notes = [*self.notes(), *more]
         return terminal.Report(self.summary(), self.title(name), head, rows, notes)
@@ -75,7 +82,7 @@ class FileResult:
         return self.file.headline(name)
 
     def written(self, files: Sequence[str]) -> str:
-        """What is said of the files of its folder."""
+        """List of the `files` in its folder, as a note."""
         return ", ".join(files)
 
     def origin(self) -> dict[str, Any]:
@@ -91,17 +98,17 @@ class FileResult:
         """The files of a results folder by name; pictures have `title` unless the run
         file has one."""
         origin, tables = self.origin(), self.tables().items()
-        found = {f"{name}.parquet": storage.parquet(x, origin) for name, x in tables}
+        files = {f"{name}.parquet": storage.parquet(x, origin) for name, x in tables}
         if self.summarised:
-            found["summary.json"] = storage.to_json(self.summary()).encode()
+            files["summary.json"] = storage.to_json(self.summary()).encode()
         for name, figure in self.figures(title).items():
-            found |= style.pictures(name, figure, formats)
-        return found
+            files |= style.pictures(name, figure, formats)
+        return files
 
 
 class SimulatedFile(FileResult, Listed):
-    """A run file that was simulated: a `trajectory`, drawn with the `exact` mean, which
-    is a result or None and why, if there is one; `who` shared the work."""
+    """Simulation of a run file: a `trajectory`, drawn with the exact mean if there is
+    one; `who`, "threads" or "workers", shared the work."""
 
     command = "run"
     trajectory: Any
@@ -112,12 +119,12 @@ class SimulatedFile(FileResult, Listed):
 
     def in_units(self, units: Any = None, interface: Any = None) -> dict[str, Physical]:
         """The force of the trajectory as `Result.in_units` gives it."""
-        found: dict[str, Physical] = self.trajectory.in_units(units, interface)
-        return found
+        physical: dict[str, Physical] = self.trajectory.in_units(units, interface)
+        return physical
 
     @cached_property
-    def exact(self) -> tuple[Transient | None, str]:
-        """The exact mean, or None and why there is none."""
+    def exact(self) -> Solved[Transient]:
+        """The exact mean, or the reason why there is none."""
         points = self.file.output.points
         return if_any(lambda: transient(self.ensemble, self.drive, points))
 
@@ -133,7 +140,7 @@ class SimulatedFile(FileResult, Listed):
     def plot(self, axes: Any = None, **style: Any) -> Any:
         """Draw the trajectory, and on it the exact mean; arguments are those of
         `Result.plot`."""
-        x, given, exact = self.trajectory.drawn.x, axes, self.exact[0]
+        x, given, exact = self.trajectory.drawn.x, axes, self.exact.solution
         axes = self.trajectory.plot(axes, **{"label": "simulated contacts", **style})
         if given is None:
             axes.set(**self.file.labels(x))
@@ -148,11 +155,11 @@ class SimulatedFile(FileResult, Listed):
         return self.figures(title)["force"]
 
     def tables(self) -> dict[str, Any]:
-        """The trajectory, and of every replica if `output.series` asks for it."""
-        found = {"trajectory": self.trajectory.columns()}
+        """The trajectory, and that of every replica if `output.series` asks for it."""
+        tables = {"trajectory": self.trajectory.columns()}
         if self.file.output.series:
-            found["replicas"] = self.trajectory.replicas()
-        return found
+            tables["replicas"] = self.trajectory.replicas()
+        return tables
 
     def made(self) -> dict[str, Any]:
         """How it was computed, for JSON."""
@@ -163,12 +170,12 @@ class SimulatedFile(FileResult, Listed):
     def speed(self) -> Iterator[str]:
         """Notes on how many lives were simulated, how fast, and by whom; and why there
         is no exact mean."""
-        found, count = self.trajectory, self.ensemble.count * self.file.output.replicas
+        run, count = self.trajectory, self.ensemble.count * self.file.output.replicas
         contacts = f" of {terminal.count(count)} contacts"
-        speed = terminal.lives(found.lives, found.engine_seconds, contacts)
-        yield f"{speed}, {found.threads} {self.who}, seed {found.seed}"
-        if self.exact[1]:
-            yield f"no exact curve: {self.exact[1]}"
+        speed = terminal.lives(run.lives, run.engine_seconds, contacts)
+        yield f"{speed}, {run.threads} {self.who}, seed {run.seed}"
+        if self.exact.reason:
+            yield f"no exact curve: {self.exact.reason}"
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.trajectory!r})"
@@ -178,9 +185,9 @@ class SimulatedFile(FileResult, Listed):
         return shown
 
 
-def if_any(solve: Callable[[], Exact]) -> tuple[Exact | None, str]:
-    """An exact result, or None and why there is none."""
+def if_any(solve: Callable[[], Exact]) -> Solved[Exact]:
+    """Solve, unless the solver refuses by InputError."""
     try:
-        return solve(), ""
+        return Solved(solve())
     except InputError as error:
-        return None, str(error)
+        return Solved(None, str(error))

@@ -1,4 +1,4 @@
-"""Everything that `eqsim run` computes: a run, and what it is compared with."""
+"""Results of `eqsim run`: a simulated run file beside exact and steady values."""
 
 import math
 from collections.abc import Iterator
@@ -40,26 +40,26 @@ with lazily():
 
 
 _MOST_LINES = 40  # segments or slips that a table shows
-_MOST_NAMED = 8  # slips that are named in a remark
-_CUT = "the record {} in the midst of {}: drop, time and distance (>) are those of what it shows"
+_MOST_NAMED = 8  # slips that a note names
+_CUT = "the record {} during {}: drop, time and distance (>) are lower bounds"
 
 
 @dataclass(frozen=True, repr=False)
 class RunResult(SimulatedFile):
-    """A run file that was simulated.
+    """Simulation of a run file at constant velocity.
 
     Attributes
     ----------
     file : RunFile
-        Whose ensemble and drive are attributes of the result, too.
+        The run file; its ensemble and drive are attributes of the result, too.
     steady : Steady
-        Steady averages of the ensemble.
+        Steady averages of the ensemble, simulated separately.
     trajectory : Trajectory
-        What was found.
+        Mean force and pinned fraction over displacement.
     breaks : Breaks or None
-        If `output.breaks` asks for them.
+        Every break of a contact, if `output.breaks` asks for them.
     who : str
-        Whether threads or workers shared the work.
+        "threads" or "workers", which shared the work.
     """
 
     file: RunFile
@@ -70,7 +70,7 @@ class RunResult(SimulatedFile):
 
     @cached_property
     def peak(self) -> Peak | None:
-        """The static peak; None of a stationary start."""
+        """The static peak; None for a stationary start."""
         return static_peak(self.ensemble, self.drive, self.trajectory)
 
     @cached_property
@@ -78,35 +78,33 @@ class RunResult(SimulatedFile):
         """The static peak of the exact mean, if there is one."""
         if self.peak is None:
             return None
-        return if_any(lambda: first_peak(self.ensemble, self.drive.velocity))[0]
+        return if_any(lambda: first_peak(self.ensemble, self.drive.velocity)).solution
 
     def _peaks(self) -> dict[str, Any]:
-        """For JSON."""
-        seen, exact, known = self.peak, self.exact_peak, None
-        if seen is None:
+        """The static peak and the exact one for JSON; empty for a stationary start."""
+        peak, exact, known = self.peak, self.exact_peak, None
+        if peak is None:
             return {}
         if exact is not None:
             level = reference(self.ensemble, self.drive).friction
-            known = {name: one.value for name, one in exact._asdict().items()}
+            known = {name: estimate.value for name, estimate in exact._asdict().items()}
             known["ratio"] = _peak_ratio(exact.force, level).value
-        found = {
-            **seen._asdict(),
-            "ratio": _peak_ratio(seen.force, self.steady.friction),
-        }
-        shown = {name: one.as_dict() for name, one in found.items()}
+        ratio = _peak_ratio(peak.force, self.steady.friction)
+        estimates = {**peak._asdict(), "ratio": ratio}
+        shown = {name: estimate.as_dict() for name, estimate in estimates.items()}
         return {"peak": {**shown, "exact": known}}
 
     def summary(self) -> dict[str, Any]:
-        found, divergence = self.trajectory, self.ensemble.divergence
-        averages, level = found.averages.averages(), self.steady.averages()
+        run, divergence = self.trajectory, self.ensemble.divergence
+        averages, level = run.averages.averages(), self.steady.averages()
         return {
             "title": self.file.title,
             **{name: estimate.as_dict() for name, estimate in averages.items()},
             **self._peaks(),
             **({"divergence": divergence} if divergence else {}),
-            "force_reliable": found.force_reliable,
+            "force_reliable": run.force_reliable,
             "steady": {name: estimate.as_dict() for name, estimate in level.items()},
-            **self.file.physical(found.averages.friction, self.steady.friction.value),
+            **self.file.physical(run.averages.friction, self.steady.friction.value),
             **self.made(),
         }
 
@@ -118,17 +116,17 @@ class RunResult(SimulatedFile):
     def figures(self, title: str) -> dict[str, Any]:
         """The force against displacement beside the exact mean and the steady value."""
         caption = panels.Caption.of(self.file, title, self.steady.friction.value)
-        draw, exact = runs.trajectory_figure, self.exact[0]
+        draw, exact = runs.trajectory_figure, self.exact.solution
         return {"force": draw(self.trajectory, self.steady, exact, caption)}
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
-        """Averages and the peak beside what is expected."""
+        """Averages and the peak beside their expected values."""
         averages = self.trajectory.averages
         rows = self.file.rows(averages)
         yield "", "this run", "expected", *unit_column(rows), "z"
         for name, row in rows:
             found, level = getattr(averages, name), getattr(self.steady, name)
-            yield _beside_expected(row, found, level, without=found.diverges)
+            yield _beside_expected(row, found, level, scored=not found.diverges)
         if self.peak is None:
             return
         quantity, length = self.file.preferred(self.peak.force), rows[0][1].unit
@@ -137,7 +135,7 @@ class RunResult(SimulatedFile):
         for name, row in (("force", forces), ("X", Row("peak_X", length))):
             exact = getattr(self.exact_peak, name, None)
             yield _beside_expected(
-                row, getattr(self.peak, name), exact, without=exact is None
+                row, getattr(self.peak, name), exact, scored=exact is not None
             )
 
     def notes(self) -> Iterator[str]:
@@ -153,24 +151,25 @@ class RunResult(SimulatedFile):
 
 
 def _beside_expected(
-    row: Row, found: Estimate, exact: Estimate | None, without: bool
+    row: Row, found: Estimate, exact: Estimate | None, scored: bool
 ) -> tuple[Any, ...]:
-    """A row of a table: an estimate beside what is expected, `without` their
-    difference."""
+    """A row of a table: an estimate, its expected value, and if `scored` z, their
+    difference in standard errors."""
     z = "none"
-    if exact is not None and not without and found.value is not None:
+    if exact is not None and scored and found.value is not None:
         z = terminal.score(difference(found, exact))
     known = "none" if exact is None else row.of(exact)
     return row.label, row.of(found), known, *row.unit, z
 
 
-def _doubt(found: Any) -> Iterator[str]:
-    if not found.force_reliable:
+def _doubt(run: Any) -> Iterator[str]:
+    """Note that standard errors of the force cannot be trusted, if so."""
+    if not run.force_reliable:
         yield "force_stderr: not to be trusted, forces this heavy-tailed need more contacts"
 
 
 def _peak_ratio(peak: Estimate, level: Estimate) -> Estimate:
-    """A static peak over the steady friction."""
+    """Ratio of a static peak to the steady friction."""
     if not peak.value or not level.value:
         return Estimate(None, None, peak.n, reliable=False)
     errors = (peak.stderr or 0.0) / peak.value, (level.stderr or 0.0) / level.value
@@ -181,7 +180,7 @@ def _peak_ratio(peak: Estimate, level: Estimate) -> Estimate:
 
 @dataclass(frozen=True, repr=False)
 class ProgrammeResult(SimulatedFile):
-    """A run file with a programme that was simulated."""
+    """Simulation of a run file with a programme."""
 
     file: RunFile
     trajectory: ProgrammeTrajectory
@@ -189,32 +188,31 @@ class ProgrammeResult(SimulatedFile):
 
     @cached_property
     def exact_segments(self) -> tuple[SegmentRecord, ...]:
-        """What the exact mean shows of each segment; empty if there is none."""
-        exact = self.exact[0]
+        """Segments of the exact mean, as those of the run; empty if there is none."""
+        exact = self.exact.solution
         if exact is None:
             return ()
-        # behind a spring the grid knows where the stage is, and the solution where the
-        # slider is
+        # behind a spring the X of the grid is the stage's, that of the solution the
+        # slider's
         grid = self.drive.grid(self.file.output.points)._replace(X=exact.X)
         error = exact.force_error
         return shown_by(self.drive, grid, exact.force, error, X_stderr=exact.X_error)
 
     def summary(self) -> dict[str, Any]:
-        found = self.trajectory
-        segments = [asdict(segment) for segment in found.segments]
+        run = self.trajectory
+        segments = [asdict(segment) for segment in run.segments]
         for segment, known in zip(segments, self.exact_segments, strict=False):
             names = ("end", "peak", "at")
             segment["exact"] = {name: getattr(known, name).value for name in names}
-        # what a force F/(N k) is multiplied by, and the unit then
-        physical = {
-            one.name: {"factor": one.factor, "unit": one.unit}
-            for one in self.file.quantities
+        physical = {  # factors of F/(N k), and the units of the products
+            quantity.name: {"factor": quantity.factor, "unit": quantity.unit}
+            for quantity in self.file.quantities
         }
         return {
             "title": self.file.title,
             "segments": segments,
             **({"physical": physical} if physical else {}),
-            "force_reliable": found.force_reliable,
+            "force_reliable": run.force_reliable,
             **self.made(),
         }
 
@@ -223,37 +221,35 @@ class ProgrammeResult(SimulatedFile):
         level = float(np.abs(self.trajectory.force).max())
         caption = panels.Caption.of(self.file, title, level)
         draw = runs.programme_figure
-        return {"force": draw(self.trajectory, self.exact[0], caption)}
+        return {"force": draw(self.trajectory, self.exact.solution, caption)}
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
-        """What each segment shows, forces as a quantity of the interface, if there is
-        one; z is the difference of the force at its end from the exact mean in standard
-        errors."""
-        exact, found = self.exact_segments, self.trajectory.segments
-        shown = self.file.preferred(found[0].peak)
+        """Force at the end and at the peak of each segment, as a quantity of the
+        interface if there is one; z is the difference of the force at the end from the
+        exact mean in standard errors."""
+        exact, segments = self.exact_segments, self.trajectory.segments
+        shown = self.file.preferred(segments[0].peak)
         forces, row = ("force then", "z", "peak"), Row("", (), shown)
         if shown:
             unit = f" [{shown.unit}]" * bool(shown.unit)
             forces = f"{shown.symbol} then{unit}", "z", f"{shown.symbol} at its peak"
         yield "", "velocity", "until t", *forces, "after X or t"
-        for index, segment in enumerate(found[:_MOST_LINES]):
+        for index, segment in enumerate(segments[:_MOST_LINES]):
             z = "none"
             if exact:
                 z = terminal.score(difference(segment.end, exact[index].end))
             velocity = "hold" if segment.velocity == 0 else f"{segment.velocity:.6g}"
             end, peak = row.of(segment.end), row.of(segment.peak)
             yield str(index), velocity, f"{segment.t:.6g}", end, z, peak, segment.at
-        if len(found) > _MOST_LINES:
+        if len(segments) > _MOST_LINES:
             yield "...", *[""] * 6
 
     def notes(self) -> Iterator[str]:
         for index, segment in enumerate(self.trajectory.segments[:_MOST_LINES]):
-            if segment.step:
-                effects = ", ".join(
-                    f"{name} {getattr(segment.step, name)}"
-                    for name in ("direct", "evolution", "memory")
-                )
-                yield f"velocity step of segment {index}, effects per ln v and length: {effects}"
+            step = segment.step
+            if step:
+                effects = f"direct {step.direct}, evolution {step.evolution} per ln v"
+                yield f"velocity step of segment {index}: {effects}; memory length {step.memory}"
         yield from self.doubts()
         yield from self.speed()
 
@@ -264,14 +260,14 @@ class ProgrammeResult(SimulatedFile):
 
 @dataclass(frozen=True, repr=False)
 class SliderResult(ProgrammeResult):
-    """A run file with a stage that was simulated."""
+    """Simulation of a run file whose slider a stage pulls through a spring."""
 
     trajectory: SliderTrajectory
 
     def summary(self) -> dict[str, Any]:
-        found = self.trajectory
-        means = {name: getattr(found, name).as_dict() for name in ("period", "drop")}
-        slips = [asdict(slip) for slip in found.slips]
+        run = self.trajectory
+        means = {name: getattr(run, name).as_dict() for name in ("period", "drop")}
+        slips = [asdict(slip) for slip in run.slips]
         return super().summary() | means | {"slips": slips}
 
     def tables(self) -> dict[str, Any]:
@@ -284,25 +280,26 @@ class SliderResult(ProgrammeResult):
         """Forces and displacements of slider and stage."""
         level = float(np.abs(self.trajectory.spring).max())
         caption = panels.Caption.of(self.file, title, level)
-        return {"force": runs.slider_figure(self.trajectory, self.exact[0], caption)}
+        draw = runs.slider_figure
+        return {"force": draw(self.trajectory, self.exact.solution, caption)}
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
-        """Each slip, and means of all but the first."""
-        found = self.trajectory
+        """Each slip, and the mean period and drop, which leave out the first."""
+        run = self.trajectory
         yield "slip", "at t", "at X", "drop of the force", "takes", "over"
-        for index, slip in enumerate(found.slips[:_MOST_LINES]):
-            least = "" if slip.begun and slip.ended else "> "
-            distance = abs(slip.distance) if least else slip.distance
+        for index, slip in enumerate(run.slips[:_MOST_LINES]):
+            bound = "" if slip.begun and slip.ended else "> "
+            distance = abs(slip.distance) if bound else slip.distance
             sizes = (slip.drop, slip.duration, distance)
             places = (f"{number:.6g}" for number in (slip.t, slip.X))
-            yield str(index), *places, *(f"{least}{number:.6g}" for number in sizes)
-        if len(found.slips) > _MOST_LINES:
+            yield str(index), *places, *(f"{bound}{number:.6g}" for number in sizes)
+        if len(run.slips) > _MOST_LINES:
             yield "...", *[""] * 5
-        if found.period.value is not None:
-            yield "mean", f"every {found.period}", "", found.drop, "", ""
+        if run.period.value is not None:
+            yield "mean", f"every {run.period}", "", run.drop, "", ""
 
     def doubts(self) -> Iterator[str]:
-        """Notes on slips, which the record may cut, and on errors."""
+        """Notes on slips, those that the record cuts, and errors of the force."""
         slips = self.trajectory.slips
         yield f"{len(slips)} slips" if slips else "no slip in this run"
         for verb, whole in (("begins", "begun"), ("ends", "ended")):
@@ -313,7 +310,7 @@ class SliderResult(ProgrammeResult):
                 )
                 yield _CUT.format(verb, f"slip{'s' * (len(cut) > 1)} {named}")
         if not self.trajectory.force_reliable:
-            yield "force_stderr: that of contacts at this X; how far X differs between ensembles takes 8 replicas"
+            yield "force_stderr: scatter of contacts at the same X; the scatter of X is known from 8 replicas on"
 
 
 def run(
@@ -333,15 +330,15 @@ def run(
     file : RunFile, Path or str
         A run file or the path of one.
     folder : Path, optional
-        Where the paths in the run file start; by default its own folder.
+        Folder of relative paths in the run file; by default its own.
     threads : int
-        Of this process; they change no number.
+        Threads of this process; results do not depend on their number.
     workers : Workers, optional
-        Instead of threads; the same bits.
+        Processes instead of threads; results are the same to the last bit.
     max_lives : float
-        Most lives.
+        Largest number of lives that a run may need.
     progress : callable, optional
-        `progress(done, expected)`, lives.
+        Called as `progress(done, expected)`, numbers of lives.
 
     Returns
     -------
@@ -369,15 +366,16 @@ def run(
             raise InputError(
                 "--workers, --dask: coupled blocks are simulated in one process; threads share replicas"
             )
-        how: dict[str, Any] = {"threads": threads, "progress": progress}
-        return run_elastic(file, drive, max_lives=max_lives, **how)
-    many: dict[str, Any] = {"seed": output.seed, "replicas": output.replicas}
-    rough = 5e-3 if ensemble.fluctuates else 1e-3
+        return run_elastic(
+            file, drive, threads=threads, max_lives=max_lives, progress=progress
+        )
+    draws: dict[str, Any] = {"seed": output.seed, "replicas": output.replicas}
+    rough = 5e-3 if ensemble.fluctuates else 1e-3  # lives with paths cost more
     with ExitStack() as stack:
         expected = check_run(ensemble, drive, output, max_lives)
         if output.series and workers:
             raise InputError(
-                "output.series: every series is kept by threads; not with --workers or --dask"
+                "output.series: is kept by threads only, not with --workers or --dask"
             )
         if output.breaks and isinstance(drive, Drive):
             check_breaks(ensemble, drive, output)
@@ -388,8 +386,8 @@ def run(
             level = steady(
                 ensemble, drive, rel_error=rough, seed=output.seed, threads=threads, max_lives=max_lives
             )  # fmt: skip
-        found: Any = trajectory(
-            ensemble, drive, points=output.points, **many, max_lives=max_lives,
+        simulated: Any = trajectory(
+            ensemble, drive, points=output.points, **draws, max_lives=max_lives,
             threads=(pool.executor, pool.slots()) if pool else threads,
             progress=lambda lives: progress(lives, expected),
         )  # fmt: skip
@@ -397,8 +395,8 @@ def run(
     if isinstance(drive, Drive):
         assert level
         listed = (
-            breaks(ensemble, drive, **many, threads=threads) if output.breaks else None
+            breaks(ensemble, drive, **draws, threads=threads) if output.breaks else None
         )
-        return RunResult(file, level, found, listed, who)
+        return RunResult(file, level, simulated, listed, who)
     kind = SliderResult if drive.stage else ProgrammeResult
-    return kind(file, found, who)
+    return kind(file, simulated, who)

@@ -1,4 +1,4 @@
-"""What `eqsim stability` computes: whether sliding through a spring is stable, and the
+"""Results of `eqsim stability`: whether sliding through a spring is stable, and the
 borders over velocity."""
 
 from collections.abc import Callable, Iterator
@@ -17,14 +17,14 @@ with lazily():
     from eqsim.plots import checks, panels
 
 
-_BORDER_DECADES = 1.5  # of the borders, to either side of the run's velocity
-_BORDER_POINTS = 25  # of the borders
-_SLOW_POINTS = 7  # of borders that take minutes a point
-_TOLD = 1e-7  # relative errors below which a value is shown without
+_BORDER_DECADES = 1.5  # decades of velocity to either side of the run's
+_BORDER_POINTS = 25  # velocities of the borders
+_SLOW_POINTS = 7  # velocities of borders that take minutes each
+_ROUNDING = 1e-7  # relative error below which a value is shown without its error
 _FRESH = {
     "slips": "this run slips",
     "jumps": "this run jumps, by less than a slip",
-    "slides": "this run does not",
+    "slides": "this run does not slip",
     "undecided": "this run: undecided",
 }
 
@@ -60,7 +60,7 @@ class StabilityResult(FileResult):
         return {"stability": draw(self.stability, self.borders, caption)}
 
     def rows(self) -> Iterator[tuple[str, str, str]]:
-        """What is known of the first slip, of steady sliding, and of the run."""
+        """The run's stiffness, its first slip, and steady sliding."""
         found, fresh = self.stability, self.stability.fresh
         yield "", "value", "meaning"
         yield "stiffness", f"{found.stiffness:.6g}", "kappa_s = K/(N k) of this run"
@@ -80,7 +80,7 @@ class StabilityResult(FileResult):
         optional = ("after X", "critical", "growth rate", "period")
         for name, value, meaning in every:
             if name not in optional or value.value is not None:
-                yield name, _told(value), meaning
+                yield name, _with_error(value), meaning
 
     def notes(self) -> Iterator[str]:
         found = self.stability
@@ -94,11 +94,11 @@ class StabilityResult(FileResult):
             yield "undecided: the rate is not known well enough to tell its sign"
 
 
-def _told(known: Estimate | str) -> str:
+def _with_error(known: Estimate | str) -> str:
     """A value with its error, unless that is rounding."""
     if isinstance(known, str) or known.value is None or known.stderr is None:
         return str(known)
-    precise = known.stderr < _TOLD * abs(known.value) < float("inf")
+    precise = known.stderr < _ROUNDING * abs(known.value) < float("inf")
     return f"{known.value:.8g}" if precise else str(known)
 
 
@@ -109,9 +109,10 @@ def stability(
     borders: bool,
     bar: Callable[[str, str], Any],
 ) -> StabilityResult:
-    """Whether the slider of a run file slides steadily, and if `borders`, those over
-    velocity; `critical`: look for the critical stiffness also where that takes minutes.
-    `bar(title, unit)` is a context with a progress bar. Raises InputError."""
+    """Find whether the slider of a run file slides steadily, and if asked for, the
+    `borders` over velocity; `critical`: look for the critical stiffness also where that
+    takes minutes. `bar(title, unit)` is a context with a progress bar. Raises
+    InputError."""
     pulled = solver.pulled_by(file.ensemble, file.drive)
     with bar("kicks and stiffnesses", "runs") as progress:
         found = solver.stability(

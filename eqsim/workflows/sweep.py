@@ -49,12 +49,12 @@ def sweep(
     rel_error : float
         Relative standard error of all observables.
     transient : bool
-        The second half of the run's distance instead of steady averages.
+        Average over the second half of the run's distance instead of the steady state.
     workers : int
         Processes; 0 computes in this one. A script that asks for processes calls this
         below `if __name__ == "__main__":`, as they begin by importing it.
     max_lives : float
-        Most lives a point.
+        Largest number of lives that a point may need.
     progress : bool or callable
         Whether to show a progress bar on a terminal, or `progress(done, total)`.
 
@@ -90,9 +90,9 @@ def sweep(
     bar = terminal.bar("sweeping", progress is not True, "points")
     kept = tempfile.TemporaryDirectory() if out is None else nullcontext(out)
     with bar as shown_on, kept as folder:
-        told = progress if callable(progress) else shown_on
+        report = progress if callable(progress) else shown_on
         found = scheduler.sweep(
-            plan, Path(folder), asked=asked, workers=Workers(workers), progress=told
+            plan, Path(folder), asked=asked, workers=Workers(workers), progress=report
         )
         table = pq.read_table(Path(folder) / "sweep.parquet").to_pandas()
     for failure in found.failures[:1]:

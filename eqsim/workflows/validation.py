@@ -1,4 +1,4 @@
-"""What `eqsim validate` shows and stores."""
+"""Results of `eqsim validate`."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -16,7 +16,7 @@ with lazily():
 
 @dataclass(frozen=True)
 class ValidationResult(FileResult):
-    """Particles against the master equation, of no run file."""
+    """Comparison of simulated contacts with the master equation, without a run file."""
 
     found: Validation
     command = "validate"
