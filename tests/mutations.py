@@ -34,7 +34,7 @@ COMPILERS = ("eqsim.numerics.compiled", "numba", "llvmlite")
 
 class Mistake(NamedTuple):
     """A name, the file below eqsim/, the text that occurs there once and what takes its
-    place, and the tests nearest to it, below tests/ and separated by " & ". `same` says
+    place, and the tests nearest to it, by the names of their files, separated by " & ". `same` says
     why the program does the same with it, if it does."""
 
     name: str
@@ -987,11 +987,18 @@ class Copy:
                 shutil.rmtree(kept, ignore_errors=True)
 
 
+def path_of(test: str) -> str:
+    """A test from the root of the repository, whose file is given by its name alone."""
+    file, colons, name = test.partition("::")
+    (path,) = (ROOT / "tests").rglob(file)
+    return f"{path.relative_to(ROOT)}{colons}{name}"
+
+
 def ids(mistakes: list[Mistake]) -> list[str]:
     """The tests nearest to some mistakes, as pytest wants them."""
     return list(
         dict.fromkeys(
-            f"tests/{test}"
+            path_of(test)
             for mistake in mistakes
             for test in mistake.tests.split(" & ")
             if test

@@ -1,6 +1,6 @@
 """The rules that a machine can check: style, types, direction of imports, sizes, what
 the README and others promise. Commands and blocks of Python in them are those of
-test_docs.py."""
+system/test_docs.py."""
 
 import ast
 import functools
@@ -18,7 +18,7 @@ import yaml
 from eqsim.numerics import kernel_folder
 from tests import mutations
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 HOOKS = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))[
@@ -38,7 +38,7 @@ def run(*command):
 )
 def test_linters(hook):
     """Those of pre-commit: style, and the direction of imports; types are those of
-    test_api.py."""
+    system/test_api.py."""
     name, *arguments = shlex.split(hook["entry"])
     run(Path(sys.executable).with_name(name), *arguments)
 
@@ -232,7 +232,7 @@ def unstated(source):
 def test_tolerances_are_stated():
     found = {
         path.name: [*unstated(path.read_text(encoding="utf-8"))]
-        for path in (ROOT / "tests").glob("*.py")
+        for path in (ROOT / "tests").rglob("*.py")
     }
     assert {name: lines for name, lines in found.items() if lines} == {}
     for right in (

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from eqsim.cli.app import app
 from eqsim.paper import EQUATIONS, FIGURES, equation, figure, numbered, printed
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 LABEL = re.compile(r"\b(nt\d\d[ab]?|star\d[abc]?|temper\d+|Q\d+[abG]*|eq:\w+)\b")
 
 

@@ -39,7 +39,7 @@ from eqsim.materials import (
 )
 from eqsim.sweeps.plan import Plan
 
-RUNS = Path(__file__).parent.parent / "runs"
+RUNS = Path(__file__).parents[2] / "runs"
 ELECTRON_VOLT = 1.602176634e-19
 BOTH = pytest.mark.parametrize("material", MATERIALS.values(), ids=MATERIALS)
 

@@ -208,7 +208,7 @@ def test_errors_of_measurements(folder):
 def test_particles(folder):
     """The committed data of simulated contacts, 24 points to about 1 %: every key
     within 4 standard deviations of what made them, and a fit that is not rejected."""
-    path = Path(__file__).parent.parent / "runs" / "fit-synthetic.toml"
+    path = Path(__file__).parents[2] / "runs" / "fit-synthetic.toml"
     problem = prepare(load(path), None, False).problem
     found = minimise(problem, problem.start)
     truth = np.array([math.log(0.1), 0.0, math.log(2.0), math.log(3.0)])

@@ -45,7 +45,7 @@ from eqsim.numerics.streams import key
 from eqsim.validation.points import sample
 
 LIMIT = 4.5
-ROWS = list(csv.DictReader((Path(__file__).parent / "data" / "newborn.csv").open()))
+ROWS = list(csv.DictReader((Path(__file__).parents[1] / "data" / "newborn.csv").open()))
 UNIFORM = {"stiffness_law": "uniform"}
 
 

@@ -268,6 +268,6 @@ def test_memory_of_an_exponential():
 def test_run_files_of_the_repository(tmp_path):
     for name in ("velocity-step", "slide-hold-slide", "reversal"):
         file = load(
-            __import__("pathlib").Path(__file__).parent.parent / "runs" / f"{name}.toml"
+            __import__("pathlib").Path(__file__).parents[2] / "runs" / f"{name}.toml"
         )
         assert isinstance(file.drive, Programme)

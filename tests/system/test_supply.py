@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 FREE = re.compile(
     r"MIT|BSD|Apache|PSF|Python Software Foundation|ISC|Zlib|CC0|HPND|Unlicense"
@@ -202,7 +202,8 @@ def test_lowest_versions(tmp_path):
         "materials",
         "portable",
     ]
-    paths = [tmp_path / "tests" / f"test_{name}.py" for name in files]
+    tests = tmp_path / "tests"
+    paths = [path for name in files for path in tests.rglob(f"test_{name}.py")]
     call(
         python,
         "-m",
@@ -210,6 +211,8 @@ def test_lowest_versions(tmp_path):
         "-q",
         "-n",
         "2",
+        "-o",
+        "pythonpath=. tests",
         "--rootdir",
         tmp_path,
         *paths,

@@ -14,7 +14,7 @@ import pytest
 
 from eqsim import Ensemble, Thermal, trajectory, transient
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 LISTED = "eqsim/laws/barrier/__init__.py"
 KEY_FILES = "eqsim/catalogue.toml", "eqsim/io/units.py"

@@ -17,7 +17,7 @@ from eqsim.fitting.report import to_toml
 from eqsim.io.runfile import at, parameters
 from eqsim.io.units import Interface, Units, quantities
 
-RUNS = Path(__file__).parent.parent / "runs"
+RUNS = Path(__file__).parents[2] / "runs"
 RUN = """
 title = "film"
 [units]

@@ -24,7 +24,7 @@ from eqsim.io.runfile import check
 from eqsim.master.cohorts import NO_CHOICES
 from eqsim.master.transient import transient
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 RUN = (
     coverage.RECORD.replace(
         'file = ""', 'file = "record.csv", time = "t", force = "force"'

@@ -19,7 +19,7 @@ from eqsim.fitting.profiles import LEVELS
 from eqsim.fitting.section import section_of
 from eqsim.io.runfile import load
 
-RUNS = Path(__file__).parent.parent / "runs"
+RUNS = Path(__file__).parents[2] / "runs"
 ROWS = list(coverage.TABLE.items())
 
 

@@ -12,7 +12,7 @@ from eqsim.paper import EQUATIONS
 from eqsim.results import Result
 from eqsim.workflows.report import FileResult
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 # classes of which functions make the instances, as they make results
 MADE = {
     "FitResult",

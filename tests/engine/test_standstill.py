@@ -310,7 +310,7 @@ def held(count, replicas, points, segment=None, **how):
             16,
             2,
             Segment(1e-20, time=100.0),
-        ),  # few contacts one by one, see test_hold_oracle.py, take longer
+        ),  # few contacts one by one, see engine/test_hold_oracle.py, take longer
         pytest.param(10, 100, 2, None, marks=pytest.mark.verification),
         pytest.param(10, 1000, 2, None, marks=pytest.mark.verification),
         pytest.param(100, 100, 2, None, marks=pytest.mark.verification),

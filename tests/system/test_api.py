@@ -29,7 +29,7 @@ from eqsim import (
 )
 from eqsim.cli.app import app
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 USER = """\
 import eqsim
 from eqsim import Drive, Ensemble, Thermal, reference, steady

@@ -4,7 +4,7 @@ peak over plateau is in [1, 2]).
 Contacts that all break at x_* stay in step for ever: F(X) = X mod x_*, a sawtooth whose
 peaks approach x_* from below, twice the plateau x_*/2, the upper end of the range. It
 is the one law without a steady state (below Q6). The gamma family is in
-test_reference.py.
+master/test_reference.py.
 """
 
 import numpy as np

@@ -34,7 +34,7 @@ from eqsim.master.curves import StationaryState
 from eqsim.master.stability import stability
 from eqsim.master.transient import fluctuations, transient
 
-ROWS = pd.read_csv(Path(__file__).parent / "data" / "newborn.csv")
+ROWS = pd.read_csv(Path(__file__).parents[1] / "data" / "newborn.csv")
 NAMES = (
     "friction",
     "pinned",

@@ -34,7 +34,7 @@ from eqsim.sweeps.workers import Processes
 EQSIM = "from eqsim.__main__ import main; main()"
 # from the folder of the repository, where `analysis` is found
 FIGURES = (
-    f"import sys; sys.path.insert(0, {str(Path(__file__).parent.parent)!r}); "
+    f"import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r}); "
     "sys.argv.remove('figures'); from analysis.figures.__main__ import main; main()"
 )
 EAGER = (  # rows reach the disk at once
@@ -59,7 +59,7 @@ LONGER = {  # run files of work that takes minutes, in mean field or for other c
     "elastic": "[drive]\nvelocity = 1.0\ndistance = 1000.0\n[elastic]\nblocks = 50\ncoupling = 20.0\n"
     "drive_stiffness = 0.25\n[output]\npoints = 11\nreplicas = 190\n",
 }
-RUNS = Path(__file__).parent.parent / "runs"
+RUNS = Path(__file__).parents[2] / "runs"
 LONG = ("--set", "contacts.count=300000000", "--threads", "1")  # minutes
 FILES = ["force.png", "summary.json", "trajectory.parquet"]
 OVER = "eqsim: interrupted; nothing is half-written\n"

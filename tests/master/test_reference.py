@@ -44,7 +44,7 @@ UNIFORM = {"stiffness_law": "uniform"}
 ROWS = list(REFERENCE.itertuples())
 
 
-@chosen(  # those of fluctuating thresholds are in test_fokker_planck.py, too
+@chosen(  # those of fluctuating thresholds are in master/test_fokker_planck.py, too
     "row",
     ROWS,
     [row for row in ROWS if (row.rule, row.disorder) != ("langevin", "quenched")],

@@ -1,4 +1,4 @@
-"""Thresholds that fluctuate along programmes of segments; test_oracle.py compares the
+"""Thresholds that fluctuate along programmes of segments; engine/test_oracle.py compares the
 same contacts in time steps."""
 
 import math
