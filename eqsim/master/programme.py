@@ -86,7 +86,7 @@ _INSTANT_PER_STEP = 1e-7
 _LEAST_INSTANT = 1e-11
 # The longest over the whole time: less than could be seen.
 _LONGEST_INSTANT = 1e-9
-# Where steps end before and after an infinite rate, over the longest step.
+# Ends of steps before and after an infinite rate, over the longest step.
 _GRADED = 2.0 ** -np.arange(1.0, 11.0)
 # Multiples of a fixed delay after a change of velocity at which steps end.
 _KINKS = 6
@@ -283,7 +283,7 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
     time = sum(segment.duration for segment in programme.segments)
     velocity = np.array([segment.velocity for segment in programme.segments])
     before = (programme.start == "stationary" and programme.velocity) or 0.0
-    legs(ensemble, programme)  # refuses what is out of range
+    legs(ensemble, programme)  # raises for numbers out of range
     ends = np.cumsum([segment.duration for segment in programme.segments]) / time
     return reduced(ensemble, unit / time), Course(
         ends, velocity * (time / unit), before * (time / unit)
@@ -358,9 +358,8 @@ def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
         life = strongest * max(1.0, float(aging.growth_at(np.array([life / v]))[0]))
     if v and life > _MOST_COHORTS * width:
         raise InputError(
-            "programme: contacts whose thresholds are thousands of times the width of "
-            "their law still matter, and have no reference with "
-            'start = "stationary"; start "fresh"'
+            "programme: thresholds of thousands of times the width of their law matter, "
+            'and have no reference with start = "stationary"; use start = "fresh"'
         )
     return Numerics(contacts, course, typical, width, life)
 
@@ -502,7 +501,7 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
             x, means = edges[piece], best[:, piece]
             inside = np.clip(t[begin:end], x[0], x[-1])
             values[:, begin:end] = Akima1DInterpolator(x, means, axis=1)(inside)
-            # a bound: what interpolation between every other edge misses at the rest
+            # a bound: the error of interpolation between every other edge at the rest
             rough = Akima1DInterpolator(x[::2], means[:, ::2], axis=1)(x)
             errors[:, piece] += largest_nearby(rough - means, 5)
             rate = np.diff(finest.breaks[piece]) / np.diff(x)

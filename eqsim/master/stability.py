@@ -3,10 +3,11 @@
 Two borders in kappa_s, the stiffness of the spring over that of all contacts. On the
 way from a fresh start friction overshoots, as contacts that began together break
 together, and falls with X: a spring softer than the steepest fall cannot follow, and
-the slider slips. In the steady state a small perturbation grows or decays: without
-heat, aging and delay neither, as friction is then the same whatever X(t) does; with a
-delay by the characteristic equation (`master.characteristic`); else as the response to
-a kick in mean field (`master.kicks`).
+the slider slips. In the steady state a small perturbation grows or decays. Without
+heat, aging and delay it does neither, as friction is the same for any X(t). With a
+delay only, its rate follows from the characteristic equation
+(`master.characteristic`), else from the response to a kick in mean field
+(`master.kicks`).
 """
 
 import math
@@ -52,8 +53,8 @@ _FINEST_GRID = 40_000
 _PER_SLIP = 100.0
 # Lengths of chords that are tried, from the smallest slip to twice its length.
 _CHORDS = 60
-# Points between three candidates for an extremum: it is then missed by 1e-5 of what
-# these differ by.
+# Points between three candidates for an extremum: its error is 1e-5 of their
+# differences.
 _NEAR = 401
 # Cells of the coarser grid around an extremum within which two grids are compared.
 _COMPARED_CELLS = 4.0
@@ -206,7 +207,7 @@ def pulled_by(ensemble: Ensemble, drive: Drive | Programme) -> SteadyPull:
     constant velocity, and contacts have a mean field."""
     if not isinstance(drive, Programme) or drive.stage is None:
         raise InputError(
-            "drive.stage: is required; without a spring the slider moves as it is told"
+            "drive.stage: is required; without a spring the motion is prescribed"
         )
     if len(drive.segments) != 1 or not drive.segments[0].velocity > 0.0:
         raise InputError(
@@ -257,8 +258,8 @@ def stability(
     --------
     >>> from eqsim import Ensemble, Programme, Segment, Stage, stability
     >>> drive = Programme([Segment(0.1, distance=1.0)], stage=Stage(stiffness=0.1))
-    >>> found = stability(Ensemble(), drive)
-    >>> found.verdict, found.fresh_verdict
+    >>> result = stability(Ensemble(), drive)
+    >>> result.verdict, result.fresh_verdict
     ('neutral', 'slips')
     """
     pulled = pulled_by(ensemble, drive)
@@ -356,8 +357,8 @@ def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
     Examples
     --------
     >>> from eqsim import Drive, Ensemble, fresh_slip
-    >>> found = fresh_slip(Ensemble(stiffness_law="uniform"), Drive(velocity=0.1))
-    >>> print(f"{found.critical_stiffness.value:.4f}")  # kappa_s = K/(N k)
+    >>> result = fresh_slip(Ensemble(stiffness_law="uniform"), Drive(velocity=0.1))
+    >>> print(f"{result.critical_stiffness.value:.4f}")  # kappa_s = K/(N k)
     0.1742
     """
     if isinstance(drive, (int, float)):
@@ -375,7 +376,7 @@ def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
     profile = profile_of(contacts)
     if profile.jumps or not isinstance(profile, SmoothLife):
         return _of_discrete(contacts, distance, least, level, unit)
-    # cells resolve how sharply lives end
+    # cells resolve the middle half of the ends of lives
     quick, slow = middle_half(profile)
     wanted = _CELLS_PER_WIDTH * distance / max(slow - quick, 1e-300)
     cells = 4 * int(min(max(wanted, _COARSEST_GRID), _FINEST_GRID))

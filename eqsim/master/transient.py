@@ -106,7 +106,7 @@ def transient(
     Examples
     --------
     >>> from eqsim import Drive, Ensemble, transient
-    >>> transient(Ensemble(), Drive(0.1, distance=3.0), points=4).force.round(4).tolist()
+    >>> transient(Ensemble(), Drive(0.1, 3.0), points=4).force.round(4).tolist()
     [0.0, 0.8579, 0.8727, 0.8897]
     """
     require_integer("points", points, 2, 10**8)
@@ -417,8 +417,8 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     Examples
     --------
     >>> from eqsim import Drive, Ensemble, fluctuations
-    >>> found = fluctuations(Ensemble(), Drive(0.1, distance=2.0), points=3)
-    >>> found.covariance.round(4).tolist()  # at lags 0, 1 and 2
+    >>> result = fluctuations(Ensemble(), Drive(0.1, distance=2.0), points=3)
+    >>> result.covariance.round(4).tolist()  # at lags 0, 1 and 2
     [0.6771, 0.0504, 0.0111]
     """
     require_drive(drive)
@@ -435,8 +435,8 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     exact = reference(ensemble, drive, variance=True)
     if exact.force_variance.value is None:
         raise InputError(
-            "fluctuations: the variance is not known of contacts born stretched whose "
-            "law is this broad"
+            "fluctuations: the variance of contacts born stretched is not known for a "
+            "law this broad"
         )
     cycle = known(exact.travel) / unit + s.delay.mean
     mean, pinned = known(exact.friction) / unit, known(exact.pinned)
