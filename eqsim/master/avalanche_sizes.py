@@ -48,7 +48,7 @@ def size_law(
     law: ThresholdLaw, load: float, most: int, stiffness: StiffnessLaw = "uniform"
 ) -> Array:
     """P(1), ..., P(most), shape (most,), to 1e-10 (thresholds whose law has gaps:
-    1e-4), at the `load` rho, in (0, 1); `most` up to 20000. Raises InputError for
+    1e-4), at the `load` rho, in (0, 1]; `most` up to 20000. Raises InputError for
     values out of range."""
     require_number("load", load, above=0.0, most=1.0)
     require_integer("most", most, 1, _LARGEST_SIZE)

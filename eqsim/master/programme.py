@@ -358,8 +358,8 @@ def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
         life = strongest * max(1.0, float(aging.growth_at(np.array([life / v]))[0]))
     if v and life > _MOST_COHORTS * width:
         raise InputError(
-            "programme: thresholds of thousands of times the width of their law matter, "
-            'and have no reference with start = "stationary"; use start = "fresh"'
+            "programme: thresholds of hundreds of widths of their law matter, and have "
+            'no reference with start = "stationary"; use start = "fresh"'
         )
     return Numerics(contacts, course, typical, width, life)
 
