@@ -22,7 +22,7 @@ from eqsim.numerics.vector_math import exp, exp_less_one
 
 # Cohorts with a smaller pinned share are dropped.
 NEGLIGIBLE_SHARE = 1e-15
-# Births closer than this share of the whole time may always be joined.
+# Share of the whole time within which births count as simultaneous.
 _SAME_TIME = 1e-11
 
 
@@ -394,8 +394,8 @@ def _births_in(
     """Note the breaks of step m and return its births. At its end, `pinned` of the
     contacts pinned before are still so, and the share `newborn` of the births is."""
     tau, t0, t1, breaks = delay.mean, path.t[m - 1], path.t[m], history.breaks
-    # births: those `due` of contacts detached before, and in the time `later` as many
-    # as break, of contacts that break in the step
+    # births are those `due` of contacts detached before, and `later` times the breaks
+    # per unit time, of contacts that break in the step
     dt, due, later = t1 - t0, 0.0, t1 - t0
     if delay.random > 0.0:
         ending = math.expm1(-dt / tau)

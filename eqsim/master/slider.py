@@ -66,9 +66,9 @@ _ALL_AT_ONCE = 1e-4
 _EQUAL_AT_ONCE = 0.1
 # Error of a straight X(t) in the middle of a step, over the change of r in the step.
 _BENT = 0.125
-# Factor by which the displacement in a repeated step may exceed that of others.
+# Largest displacement in a repeated step over that in others.
 _FARTHER = 10.0
-# Factor by which the error of F in a repeated step may exceed that of others.
+# Largest error of F in a repeated step over that allowed.
 _WORSE = 30.0
 # Cohorts per step, in the mean, whose fates can be noted.
 _FATES = 128
