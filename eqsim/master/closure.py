@@ -305,9 +305,9 @@ def march_closure(pool: AgedLaws, h: float, cells: int) -> Array:
     a uniform grid of stretches, displacements and ages, of second order in the cell h.
 
     E[j] is the survival to x_j of a contact born at X_i - x_j, so that E[i] is that of
-    contacts of the fresh start. Births are spread evenly over each cell. Within a cell
-    E is taken as exponential, which is exact for lives of any length if only young
-    contacts break. Births of the last cell follow from the conserved number of contacts.
+    the fresh contacts. Births are spread evenly over each cell. Within a cell E is
+    taken as exponential, which is exact for lives of any length if only young contacts
+    break. Births of the last cell follow from the conserved number of contacts.
     """
     x = h * np.arange(min(cells, math.ceil(pool.top / h)) + 1)
     table, edges = pool.tables(x), h * np.arange(cells + 1)
