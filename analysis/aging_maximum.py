@@ -1,4 +1,4 @@
-"""The maximum of kinetic friction against velocity that aging makes (Braun and Peyrard,
+"""Maximum of kinetic friction against velocity that aging makes (Braun and Peyrard,
 2011, section IV).
 
 f_k(v) at kT = k x_*f^2 (soft, uniform, n = 1, x_*i = 0.1, x_*f = 1, omega = k = 1) for
@@ -67,9 +67,9 @@ def curves(points: int) -> pd.DataFrame:
 
 
 def peaks(frame: pd.DataFrame, rel_error: float) -> pd.DataFrame:
-    """The maximum of each curve: velocity, height and error of the reference, the
-    estimate of particles there, z, how far friction falls from there to the ends of the
-    curve (per cent), and whether it is a maximum at all."""
+    """One row per curve, of its maximum: velocity, height and error of the reference,
+    the estimate of particles there, z, by how many per cent friction is lower at the
+    ends of the curve, and whether the maximum lies inside."""
     rows = []
     for model, D in track(
         [(model, D) for model in MODELS for D in RATES], description="maxima"
@@ -92,7 +92,7 @@ def peaks(frame: pd.DataFrame, rel_error: float) -> pd.DataFrame:
                 ).x
             )
         exact = reference(contacts, Drive(v)).f_k
-        found = steady(
+        particles = steady(
             contacts,
             Drive(v),
             rel_error=1e-3 if model == "langevin" else rel_error,
@@ -105,9 +105,9 @@ def peaks(frame: pd.DataFrame, rel_error: float) -> pd.DataFrame:
                 "velocity": v,
                 "f_k": exact.value,
                 "error": exact.stderr,
-                "particles": found.value,
-                "particles_stderr": found.stderr,
-                "z": z_score(found, exact.value, exact.stderr),
+                "particles": particles.value,
+                "particles_stderr": particles.stderr,
+                "z": z_score(particles, exact.value, exact.stderr),
                 "fall_low": 100 * (1 - curve.f_k.iloc[0] / exact.value),
                 "fall_high": 100 * (1 - curve.f_k.iloc[-1] / exact.value),
                 "maximum": inside,
@@ -117,7 +117,7 @@ def peaks(frame: pd.DataFrame, rel_error: float) -> pd.DataFrame:
 
 
 @style.styled
-def picture(frame: pd.DataFrame, found: pd.DataFrame) -> Figure:
+def picture(frame: pd.DataFrame, maxima: pd.DataFrame) -> Figure:
     """f_k(v), one panel per D, with the particles' estimates at the maxima."""
     figure = Figure(figsize=(12, 4.4), layout="constrained")
     panels = figure.subplots(1, len(RATES), sharex=True)
@@ -126,7 +126,7 @@ def picture(frame: pd.DataFrame, found: pd.DataFrame) -> Figure:
             (style.ORANGE, style.BLUE, style.GREEN), "^os", MODELS, strict=True
         ):
             curve = frame[(frame.model == model) & (frame.D == D)]
-            top = found[(found.model == model) & (found.D == D)]
+            top = maxima[(maxima.model == model) & (maxima.D == D)]
             drawn = pd.concat((curve, top)).sort_values("velocity")
             axes.plot(
                 drawn.velocity, drawn.f_k, color=color, linewidth=1.2, label=model
@@ -167,10 +167,10 @@ def main(
     out.mkdir(parents=True, exist_ok=True)
     frame = curves(15 if quick else 43)
     frame.to_parquet(out / "aging_maximum.parquet", index=False)
-    found = peaks(frame, 1e-3 if quick else 1e-4)
-    found.to_parquet(out / "aging_maximum_peaks.parquet", index=False)
-    (out / "aging_maximum.png").write_bytes(style.saved(picture(frame, found)))
-    for row in found.itertuples():
+    maxima = peaks(frame, 1e-3 if quick else 1e-4)
+    maxima.to_parquet(out / "aging_maximum_peaks.parquet", index=False)
+    (out / "aging_maximum.png").write_bytes(style.saved(picture(frame, maxima)))
+    for row in maxima.itertuples():
         print(
             f"{row.model:9} D = {row.D:<5g} "
             + (

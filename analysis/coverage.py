@@ -1,15 +1,14 @@
-"""Expected errors of what steady friction tells (Fisher information), and the coverage
-of intervals of fits.
+"""Expected errors of fits to steady friction, and the coverage of their intervals.
 
     python -m analysis.coverage [--sets 40] [--seed 1] [--only NAME] [--posterior]
 
-First a table of expected standard deviations of the logarithms of F0 = N k x_*, v0 =
-omega x_*, b and n + 1, from 12 velocities per temperature with 5 % noise; then, for
-some models, how often the profile intervals of fits to synthetic data hold the truth,
-with the range that is expected of a binomial number. With --posterior, instead: truths
-drawn from the prior, data drawn for them, and the share of the posterior below the
-truth, which must be uniform (simulation-based calibration; Talts et al.,
-arXiv:1804.06788).
+The first table has standard deviations of the logarithms of F0 = N k x_*, v0 = omega
+x_*, b and n + 1, expected by the Fisher information from 12 velocities per temperature
+with 5 % noise. The second has, for some models, the share of fits to synthetic data
+whose profile intervals contain the truth, with the range expected of a binomial number.
+With --posterior, instead: truths are drawn from the prior, data for them, and the share
+of the posterior below the truth, which must be uniform (simulation-based calibration;
+Talts et al., arXiv:1804.06788).
 """
 
 import argparse
@@ -38,8 +37,8 @@ NOISE, VELOCITIES, N = 0.05, 12, 1.0
 
 class Case(NamedTuple):
     """Contacts with b = k x_*^2/(2 kT), n = 1 and k = omega = x_* = 1, measured over
-    some decades of velocity (around v_* if annealed, else around omega x_*/100) at
-    several temperatures."""
+    some decades of velocity (around v_* if annealed, else around omega x_*/100), with
+    the temperature multiplied by each of `heats`."""
 
     disorder: str
     b: float
@@ -95,16 +94,16 @@ def problem(case: Case, free: tuple[str, ...] = FREE, **changes: dict) -> Proble
     table = Measurements(
         rows, np.arange(n), ["friction"] * n, ones, ones, names, ones, ""
     )
-    found = problem_of(file, section_of(file), table)
-    exact = found.given(found.start)
-    return replace(found, value=exact, sigma=NOISE * exact)
+    fit = problem_of(file, section_of(file), table)
+    exact = fit.given(fit.start)
+    return replace(fit, value=exact, sigma=NOISE * exact)
 
 
-def expected(one: Problem) -> dict[str, float]:
+def expected(fit: Problem) -> dict[str, float]:
     """Standard deviation of each parameter's logarithm, by key."""
-    sd = np.sqrt(np.diag(covariance(one.jacobian(one.start))))
+    sd = np.sqrt(np.diag(covariance(fit.jacobian(fit.start))))
     return {
-        parameter.key: float(x) for parameter, x in zip(one.parameters, sd, strict=True)
+        parameter.key: float(x) for parameter, x in zip(fit.parameters, sd, strict=True)
     }
 
 
@@ -159,9 +158,9 @@ def record() -> Problem:
     ones, rows, names = np.ones(81), [MeasuredAt((), 1.0, "")], ["friction"] * 81
     row_of = np.zeros(81, int)
     table = Measurements(rows, row_of, names, ones, 0.003 * ones, [], ones, "", time)
-    found = problem_of(file, section_of(file), table)
-    found = settle_steps(found, found.start)
-    return replace(found, value=found.given(found.start), correlation=np.full(80, RHO))
+    fit = problem_of(file, section_of(file), table)
+    fit = settle_steps(fit, fit.start)
+    return replace(fit, value=fit.given(fit.start), correlation=np.full(80, RHO))
 
 
 COVERED = {
@@ -180,8 +179,8 @@ def markov(rng: np.random.Generator, size: int, rho: float = RHO) -> np.ndarray:
 
 
 def sample(exact: Problem, rng: np.random.Generator) -> Problem:
-    """Data with errors: of a table relative ones, as without a column of them, and of a
-    record correlated ones."""
+    """Problem with random errors of the data: relative ones in a table, correlated ones
+    in a record."""
     if exact.correlation is not None:
         return replace(
             exact, value=exact.value + exact.sigma * markov(rng, exact.value.size)
@@ -191,18 +190,18 @@ def sample(exact: Problem, rng: np.random.Generator) -> Problem:
 
 
 def rises(exact: Problem, sets: int, seed: int) -> Iterator[dict[str, float]]:
-    """Rise of chi-square in each synthetic data set, by key: how much the least with it
-    at its true value exceeds that with all free. An interval holds the truth if this is
-    below its level."""
+    """Rise of chi-square in each synthetic data set, by key: by how much its minimum
+    with the parameter at its true value exceeds that with all free. An interval
+    contains the truth if the rise is below its level."""
     rng = np.random.default_rng(seed)
     for _ in range(sets):
-        one = sample(exact, rng)
+        data = sample(exact, rng)
         fits = [
-            minimise(one, exact.start),
-            *(minimise(one, u) for u in _starts(exact, rng)),
+            minimise(data, exact.start),
+            *(minimise(data, u) for u in _starts(exact, rng)),
         ]
-        held = [minimise(one, exact.start, i) for i in range(len(exact.parameters))]
-        least = min([*fits, *held], key=lambda found: found.chi2)
+        held = [minimise(data, exact.start, i) for i in range(len(exact.parameters))]
+        least = min([*fits, *held], key=lambda fit: fit.chi2)
         yield {
             parameter.key: minimum.chi2 - least.chi2
             for parameter, minimum in zip(exact.parameters, held, strict=True)
@@ -217,9 +216,9 @@ def _starts(exact: Problem, rng: np.random.Generator) -> list[np.ndarray]:
 def prior_problem() -> Problem:
     """Annealed contacts, b = 5 in the middle of the prior, which is flat within .6 in
     each variable."""
-    one = problem(Case("annealed", 5.0, "uniform", 4.0, (1.0,)))
-    near = [p._replace(low=p.start - 0.6, high=p.start + 0.6) for p in one.parameters]
-    return replace(one, parameters=near)
+    fit = problem(Case("annealed", 5.0, "uniform", 4.0, (1.0,)))
+    near = [p._replace(low=p.start - 0.6, high=p.start + 0.6) for p in fit.parameters]
+    return replace(fit, parameters=near)
 
 
 def below(exact: Problem, sets: int, seed: int) -> Iterator[dict[str, float]]:
@@ -228,13 +227,14 @@ def below(exact: Problem, sets: int, seed: int) -> Iterator[dict[str, float]]:
     rng = np.random.default_rng(seed)
     for _ in range(sets):
         truth = exact.low + (exact.high - exact.low) * rng.random(exact.low.size)
-        one = replace(
+        data = replace(
             exact,
             value=exact.given(truth)
             + exact.sigma * rng.standard_normal(exact.value.size),
         )
-        best = minimise(one, exact.start).u
-        drawn = posterior.draw_posterior(one, best, covariance(one.jacobian(best)), rng)
+        best = minimise(data, exact.start).u
+        spread = covariance(data.jacobian(best))
+        drawn = posterior.draw_posterior(data, best, spread, rng)
         shares = np.mean(drawn.points < truth, axis=0)
         yield {
             parameter.key: float(share)
@@ -243,7 +243,8 @@ def below(exact: Problem, sets: int, seed: int) -> Iterator[dict[str, float]]:
 
 
 def binomial(sets: int, share: float) -> tuple[float, float]:
-    """Shares between which a fair count of `sets` falls in 999 of 1000 cases."""
+    """Range of the observed share of `sets` in 999 of 1000 cases, if the true one is
+    `share`."""
     low, high = stats.binom.ppf([0.5e-3, 1.0 - 0.5e-3], sets, share)
     return low / sets, high / sets
 
@@ -255,7 +256,7 @@ def main() -> None:
     )
     parser.add_argument("--sets", type=int, default=40, help="data sets of each model")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", choices=sorted(COVERED), help="one model")
+    parser.add_argument("--only", choices=sorted(COVERED), help="a single model")
     parser.add_argument(
         "--posterior", action="store_true", help="calibration of posteriors instead"
     )
@@ -265,21 +266,23 @@ def main() -> None:
         return
     print("expected standard deviations of ln F0, ln v0, ln b, ln(n + 1)")
     for case in TABLE:
-        found = expected(problem(case))
+        deviations = expected(problem(case))
         temperatures = " and ".join(
             "T" if heat == 1.0 else f"{heat:g} T" for heat in case.heats
         )
         where = f"{case.disorder} b={case.b:g} {case.law}, {temperatures}"
         where += f", {case.decades:g} decades"
-        print(f"  {where:50s}", *(f"{found[key]:8.3g}" for key in COLUMNS))
+        print(f"  {where:50s}", *(f"{deviations[key]:8.3g}" for key in COLUMNS))
     for name, made in COVERED.items():
         if asked.only not in (None, name):
             continue
         every = list(rises(made(), asked.sets, asked.seed))
-        print(f"{name}: share of {asked.sets} data sets whose interval holds the truth")
+        print(
+            f"{name}: share of {asked.sets} data sets whose interval contains the truth"
+        )
         for key in every[0]:
             covered = {
-                level: np.mean([one[key] < rise for one in every])
+                level: np.mean([rises_of[key] < rise for rises_of in every])
                 for level, rise in LEVELS.items()
             }
             print(f"  {key:28s} {_said(covered, asked.sets)}")
@@ -297,11 +300,11 @@ def _said(covered: dict[str, float], sets: int) -> str:
 def _calibration(sets: int, seed: int) -> None:
     every = list(below(prior_problem(), sets, seed))
     print(
-        f"share of {sets} truths of the prior that intervals of the posterior hold, "
-        f"and whether ranks are uniform"
+        f"share of {sets} truths of the prior that intervals of the posterior contain, "
+        f"and a test that ranks are uniform"
     )
     for key in every[0]:
-        ranks = np.array([one[key] for one in every])
+        ranks = np.array([shares[key] for shares in every])
         covered = {
             level: np.mean((ranks > low) & (ranks < high))
             for level, (low, high) in posterior.SHARES.items()

@@ -34,8 +34,8 @@ def contacts(disorder: str, kT: float) -> Ensemble:
 
 @style.styled
 def plot(points: int = 11, fine: int = 61) -> Figure:
-    """F(X) on the left, F(v) on the right; so many simulated velocities, and so many of
-    each line."""
+    """F(X) on the left, F(v) on the right, at `points` simulated velocities and with
+    `fine` velocities in each line."""
     figure = Figure(figsize=(9, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     velocities, lines = np.geomspace(1e-3, 10.0, points), np.geomspace(1e-3, 10.0, fine)
@@ -51,15 +51,15 @@ def plot(points: int = 11, fine: int = 61) -> Figure:
                 "capsize": 2,
             }
             drive = Drive(VELOCITY, distance=5.0)
-            exact, found = (
+            exact, simulated = (
                 transient(ensemble, drive, 201),
                 trajectory(ensemble, drive, points=26),
             )
             left.plot(exact.X, exact.force, **line)
             left.errorbar(
-                found.X,
-                found.force,
-                2 * found.force_stderr,
+                simulated.X,
+                simulated.force,
+                2 * simulated.force_stderr,
                 elinewidth=0.8,
                 zorder=3,
                 **mark,
@@ -69,13 +69,13 @@ def plot(points: int = 11, fine: int = 61) -> Figure:
                 [reference(ensemble, Drive(v)).friction.value for v in lines],
                 **line,
             )
-            seen = [
+            estimates = [
                 steady(ensemble, Drive(v), rel_error=5e-3).friction for v in velocities
             ]
             right.errorbar(
                 velocities,
-                [e.value for e in seen],
-                [2 * e.stderr for e in seen],
+                [e.value for e in estimates],
+                [2 * e.stderr for e in estimates],
                 zorder=3,
                 **mark,
             )
@@ -109,14 +109,14 @@ def plot(points: int = 11, fine: int = 61) -> Figure:
         )
         for disorder, (dashes, marker) in ENSEMBLES.items()
     ]
-    said = "lines: exact; markers: simulated, ± 2 standard errors"
+    title = "lines: exact; markers: simulated, ± 2 standard errors"
     figure.legend(
         handles=[*heat, *kinds],
         ncols=5,
         loc="outside lower center",
         frameon=False,
         handlelength=3,
-        title=said,
+        title=title,
     )
     for panel in (left, right):
         panel.grid(alpha=0.3)

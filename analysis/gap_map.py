@@ -1,5 +1,4 @@
-"""Where the published master equation can be used for literal contacts, and where it
-cannot.
+"""Map of where the published master equation can be used for literal contacts.
 
 Quenched over annealed friction on a plane of velocity and temperature, for both
 stiffness laws (n = 1, soft, no delay), from the two exact references: `python -m
@@ -38,8 +37,8 @@ def table(points: int) -> pd.DataFrame:
             ).friction
             for disorder in ("quenched", "annealed")
         }
-        row = {f"friction_{name}": found.value for name, found in friction.items()}
-        row |= {f"error_{name}": found.stderr for name, found in friction.items()}
+        row = {f"friction_{name}": exact.value for name, exact in friction.items()}
+        row |= {f"error_{name}": exact.stderr for name, exact in friction.items()}
         rows.append({"stiffness_law": law, "kT": kT, "velocity": v, **row})
     frame = pd.DataFrame(rows)
     frame["ratio"] = frame.friction_quenched / frame.friction_annealed

@@ -30,7 +30,7 @@ class Measured(NamedTuple):
 def run(contacts: int, distance: float, points: int) -> Measured:
     """Warm soft contacts (kT = 0.1 k x_*^2, v = 0.01 omega x_*) over `distance` x_*."""
     ensemble = Ensemble(thermal=Thermal(kT=0.1), count=contacts)
-    found = trajectory(
+    result = trajectory(
         ensemble,
         Drive(0.01, distance),
         points=points,
@@ -41,8 +41,8 @@ def run(contacts: int, distance: float, points: int) -> Measured:
         1 if sys.platform == "darwin" else 1024
     )
     return Measured(
-        found.lives,
-        1e9 * found.engine_seconds * found.threads / found.lives,
+        result.lives,
+        1e9 * result.engine_seconds * result.threads / result.lives,
         peak / 1e6,
     )
 

@@ -15,7 +15,7 @@ import typer
 
 
 def main(
-    points: Annotated[int, typer.Option(help="About so many points.")] = 10_000,
+    points: Annotated[int, typer.Option(help="About how many points.")] = 10_000,
 ) -> None:
     """Run the sweep in a temporary folder."""
     side = max(2, round((points / 10) ** 0.5))
@@ -38,14 +38,14 @@ def main(
             f"{folder}/out",
             "--json",
         ]
-        found = json.loads(
+        report = json.loads(
             subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout
         )
-    inside = found["point_seconds"] / found["points"]
-    outside = (found["seconds"] * workers - found["point_seconds"]) / found["points"]
+    inside = report["point_seconds"] / report["points"]
+    outside = (report["seconds"] * workers - report["point_seconds"]) / report["points"]
     print(
-        f"{found['points']} points in {found['seconds']:.0f} s on {workers} workers, "
-        f"{found['failed']} failed"
+        f"{report['points']} points in {report['seconds']:.0f} s on {workers} workers, "
+        f"{report['failed']} failed"
     )
     print(
         f"per point and worker: {1e3 * inside:.1f} ms engine and reference, "

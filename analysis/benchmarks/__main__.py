@@ -31,7 +31,7 @@ Job = Callable[[Case, Sizes, int, int], dict[str, Any]]
 
 
 def shared_jobs(sizes: Sizes) -> dict[str, Job]:
-    """The jobs that rivals do too, by name."""
+    """Jobs that rivals do too, by name."""
     steady = {
         f"steady average to {error:g}": partial(time_steady, rel_error=error)
         for error in sizes.errors
@@ -85,14 +85,12 @@ def main(
     ] = False,
     threads: Annotated[
         int,
-        typer.Option(
-            min=2, help="Threads eqsim and C are compared on with themselves."
-        ),
+        typer.Option(min=2, help="Threads on which eqsim and C are timed beside one."),
     ] = 2,
 ) -> None:
     """Time eqsim and its rivals, print a table, and write table and picture."""
     console, sizes = Console(), QUICK if quick else Sizes()
-    console.width = max(console.width, 156)  # the table needs as much
+    console.width = max(console.width, 156)  # width of the table
     if not tuned.available():
         console.print("no gcc that compiles tuned.c: rival C is left out")
     figures = measure(sizes, threads, console)

@@ -1,5 +1,5 @@
-"""Jobs without rivals: fluctuating thresholds, reference solves, fits, memory, and how
-long the program takes to start."""
+"""Jobs without rivals: fluctuating thresholds, reference solves, fits, memory, and
+start-up."""
 
 import os
 import resource
@@ -58,9 +58,8 @@ def time_langevin(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any]]
             def run(
                 seed: int, threads: int = 1, ensemble: Ensemble = ensemble
             ) -> Outcome:
-                return plain(
-                    ensemble, 1.0, 1.0, seed, threads
-                )  # the fewest lives there are, 65 536
+                # the fewest lives there are, 65 536
+                return plain(ensemble, 1.0, 1.0, seed, threads)
 
             run(seed)  # compiles
             contenders = {
@@ -79,8 +78,8 @@ def time_langevin(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any]]
 
 
 def time_references(sizes: Sizes) -> list[dict[str, Any]]:
-    """Stationary averages and transients from the master equation; kernels and tables
-    are warm, answers are not: each round has its own velocity."""
+    """Stationary averages and transients from the master equation. Kernels and tables
+    are cached, solutions are not: each round has its own velocity."""
     chosen = [case for case in CASES if not case.general] + [Case(0.1, "soft", True)]
     rows = []
     for disorder in ("quenched", "annealed"):
@@ -147,8 +146,8 @@ def time_curves(sizes: Sizes) -> list[dict[str, Any]]:
 def time_fits(sizes: Sizes) -> list[dict[str, Any]]:
     """A whole fit, profiles and all, of 27 averages at two temperatures; and least
     squares of a record of 81 points (a velocity step at T = 0 through a spring,
-    `analysis.coverage`), from a start away from the truth. A solve gives all that was
-    measured at one set of parameters; answers are forgotten between rounds."""
+    `analysis.coverage`), from a start away from the truth. A solve gives all measured
+    values at one set of parameters; caches are cleared between rounds."""
     exact = coverage.record()
     record = coverage.sample(exact, np.random.default_rng(1))
     start = exact.low + 0.4 * (exact.high - exact.low)
@@ -182,8 +181,8 @@ DRIVES: dict[str, Drive | Programme] = {
 
 
 def peak(name: str, contacts: int) -> int:
-    """Peak memory of this process in bytes after so many warm soft contacts with a
-    delay have followed a drive."""
+    """Peak memory of this process in bytes after a run of warm soft contacts with a
+    delay."""
     trajectory(Case(0.1, "soft", True).ensemble(contacts), DRIVES[name], points=21)
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (
         1 if sys.platform == "darwin" else 1024
@@ -191,21 +190,21 @@ def peak(name: str, contacts: int) -> int:
 
 
 def measure_memory(sizes: Sizes) -> list[dict[str, Any]]:
-    """Bytes per contact: how much more peak memory many contacts take than a thousand,
-    in processes of their own. These are forked by a server, not started by this one,
-    whose own peak they would report."""
+    """Bytes per contact, from the peak memory of many contacts less that of a thousand,
+    in a process each. These are forked by a server: started by this one, they would
+    report its peak."""
     rows = []
     for name in DRIVES:
         peak(name, 2048)  # compiles, which takes memory
-        found = []
+        peaks = []
         for contacts in (1000, sizes.many):
             with ProcessPoolExecutor(1, get_context("forkserver")) as pool:
-                found.append(pool.submit(peak, name, contacts).result())
+                peaks.append(pool.submit(peak, name, contacts).result())
         rows.append(
             {
                 "job": "memory",
                 "case": name,
-                "bytes": (found[1] - found[0]) / (sizes.many - 1000),
+                "bytes": (peaks[1] - peaks[0]) / (sizes.many - 1000),
             }
         )
     return rows

@@ -12,8 +12,8 @@ DELAY = 20.0  # tau of the general case: contacts stay detached over 0.2 x_*
 
 @dataclass(frozen=True)
 class Case:
-    """One kind of contacts. `general` is k_i ~ sqrt(f_si) with a fixed delay, otherwise
-    uniform k and none."""
+    """One kind of contacts. If `general`, k_i ~ sqrt(f_si) and there is a fixed delay;
+    otherwise k is uniform, without delay."""
 
     kT: float
     barrier: str
@@ -56,16 +56,16 @@ CASES = [
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes that are timed; lengths in x_*. The stepped script gets fewer contacts,
-    over a shorter distance."""
+    """Sizes that are timed; lengths in x_*. Rival A gets fewer contacts, over a shorter
+    distance."""
 
     contacts: int = 100_000
     distance: float = 200.0
     points: int = 4001
     stepped_contacts: int = 10_000
     stepped_distance: float = 20.0
-    lives: int = 100_000_000  # of one plain steady average, about
-    scalar_lives: int = 8_000_000  # of one by rival B
+    lives: int = 100_000_000  # of a plain steady average, about
+    scalar_lives: int = 8_000_000  # of a plain steady average by rival B
     errors: tuple[float, ...] = (1e-3, 1e-5)  # relative, asked of the steady averages
     repeats: int = 5
     plain_repeats: int = 3
@@ -73,13 +73,12 @@ class Sizes:
     scalar_contacts: int = 4000  # that rival B takes along a programme
     pulled_contacts: int = 100_000  # behind a spring
     pulled_points: int = 61
-    fits: int = 2  # how often one is timed
+    fits: int = 2  # rounds of each fit
     many: int = 1_000_000  # contacts whose memory is compared with that of a thousand
 
     @property
     def contact_steps(self) -> float:
-        """Factor by which the stepped script would need more contact-steps for the
-        whole trajectory."""
+        """Contact-steps of the whole trajectory over those that rival A does."""
         return (
             self.contacts
             * self.distance

@@ -35,7 +35,7 @@ PULLED = 4.0  # x_* that the stage moves
 
 @numba.njit
 def rate(stiff: bool, xi: float, a: float, x: float) -> float:
-    """At which a contact of stretch x >= 0 breaks by heat."""
+    """Rate at which heat breaks a contact of stretch x >= 0."""
     if stiff:
         gap = max(1.0 - x / xi, 0.0)
         return math.sqrt(gap) * math.exp(-a * xi * xi * gap * math.sqrt(gap))
@@ -44,7 +44,7 @@ def rate(stiff: bool, xi: float, a: float, x: float) -> float:
 
 @numba.njit
 def hazard(stiff: bool, xi: float, a: float, y: float) -> float:
-    """Integral of the rate from 0 to y of either sign, per velocity."""
+    """Integral of the rate over the stretch from 0 to y, of either sign."""
     x = min(abs(y), xi)
     if stiff:
         c = a * xi * xi
@@ -58,7 +58,7 @@ def hazard(stiff: bool, xi: float, a: float, y: float) -> float:
 
 @numba.njit
 def stretch(stiff: bool, xi: float, a: float, total: float) -> float:
-    """Where the hazard is so much, or xi."""
+    """Stretch at which `hazard` is `total`, or xi."""
     size = max(abs(total), 1e-300)
     return math.copysign(
         stiff_stretch(xi, a, size) if stiff else soft_stretch(xi, a, math.log(size)),
@@ -89,7 +89,7 @@ def at_ends(
                 math.copysign(1.0, velocities[j]),
             )
             while True:
-                if wait >= 0.0:  # detached for so long
+                if wait >= 0.0:  # detached, for `wait` longer
                     if wait > left:
                         wait -= left
                         break
@@ -161,7 +161,7 @@ def steps(
     kT, stiff, general = law
     spring, damping, velocity = stage
     wait, x, kappa, xi, clock = np.zeros((5, contacts))
-    found = np.empty(count)
+    forces = np.empty(count)
     X, force, dropped, stiffness = 0.0, 0.0, 0.0, 1.0
     for step in range(count):
         # forces balance in the middle of the step, if as much breaks as in the last one
@@ -205,8 +205,8 @@ def steps(
                 stiffness += kappa[i]
         force /= contacts
         stiffness /= contacts
-        X, dropped, found[step] = X + dX, expected - force, force
-    return found
+        X, dropped, forces[step] = X + dX, expected - force, force
+    return forces
 
 
 def stepped(case: Case, count: int, contacts: int, seed: int) -> float:
@@ -214,10 +214,10 @@ def stepped(case: Case, count: int, contacts: int, seed: int) -> float:
     `PULLED`."""
     pace = 10 * VELOCITY
     stage, dt = (STAGE.stiffness, STAGE.damping, pace), PULLED / pace / count
-    found = steps(
+    forces = steps(
         law_of(case), DELAY if case.general else 0.0, stage, dt, count, contacts, seed
     )
-    return float(found[count // 2 :].mean())
+    return float(forces[count // 2 :].mean())
 
 
 def pulled(
@@ -233,36 +233,27 @@ def pulled(
 
 
 def ten_segments(distance: float) -> Programme:
-    """Steps, two holds and two reversals, so far in all."""
-    pace, part = 10 * VELOCITY, 0.125 * distance
-    velocities = (
-        pace,
-        0.0,
-        10 * pace,
-        -pace,
-        pace,
-        0.0,
-        10 * pace,
-        -pace,
-        pace,
-        0.1 * pace,
-    )
+    """Velocity steps, two holds and two reversals, over a `distance` in all."""
+    pace, length = 10 * VELOCITY, 0.125 * distance
+    paces = (1.0, 0.0, 10.0, -1.0, 1.0, 0.0, 10.0, -1.0, 1.0, 0.1)
     return Programme(
         tuple(
-            Segment(v, distance=part) if v else Segment(0.0, time=10.0 / VELOCITY)
-            for v in velocities
+            Segment(v * pace, distance=length)
+            if v
+            else Segment(0.0, time=10.0 / VELOCITY)
+            for v in paces
         )
     )
 
 
-def worst(found: list[tuple[Array, Array]], truth: list[tuple[Array, Array]]) -> float:
+def worst(rival: list[tuple[Array, Array]], truth: list[tuple[Array, Array]]) -> float:
     """The score farthest from 0 of the mean forces of all rounds against eqsim's."""
     (value, error), (true, its_error) = (
         (
-            np.mean([force for force, _ in of], axis=0),
-            np.linalg.norm([stderr for _, stderr in of], axis=0) / len(of),
+            np.mean([force for force, _ in rounds], axis=0),
+            np.linalg.norm([stderr for _, stderr in rounds], axis=0) / len(rounds),
         )
-        for of in (found, truth)
+        for rounds in (rival, truth)
     )
     scores = (value - true) / np.hypot(error, its_error)
     return float(scores[np.argmax(np.abs(scores))])
@@ -320,10 +311,10 @@ def time_programmes(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any
 
 
 def per_life(rounds: Rounds) -> Rounds:
-    """With seconds per life."""
+    """Rounds with seconds per life."""
     return {
-        name: [(seconds / max(found.lives, 1), found) for seconds, found in of]
-        for name, of in rounds.items()
+        name: [(seconds / max(outcome.lives, 1), outcome) for seconds, outcome in timed]
+        for name, timed in rounds.items()
     }
 
 

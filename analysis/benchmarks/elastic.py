@@ -1,4 +1,4 @@
-"""Coupled blocks at T = 0, and a plain heap in numba, which knows one block."""
+"""Coupled blocks at T = 0, and rival B, a plain heap in numba for a single block."""
 
 import heapq
 import math
@@ -8,13 +8,13 @@ import numba
 import numpy as np
 
 from analysis.benchmarks.cases import Sizes
+from analysis.benchmarks.driven import per_life
 from analysis.benchmarks.jobs import Outcome, interleaved, ratios, speed
 from eqsim import Drive, Elastic, Ensemble, elastic_trajectory
 
 STIFFNESS = 0.25  # K_d/(n k)
-LATTICES: list[
-    tuple[str, int | tuple[int, int], float]
-] = [  # blocks of 1e6 contacts, and coupling
+# name, blocks of 1e6 contacts, and coupling
+LATTICES: list[tuple[str, int | tuple[int, int], float]] = [
     ("one block", 1, 0.0),
     ("chain, lambda = 1.3", 10_000, 2.0),
     ("chain, lambda = 4.0", 10_000, 20.0),
@@ -27,8 +27,8 @@ LATTICES: list[
 def plain_heap(
     contacts: int, distance: float, seed: int
 ) -> tuple[float, int]:  # pragma: no cover  # compiled
-    """Breaks per avalanche, and breaks, of a slider at the end of a spring, one heap
-    for all contacts."""
+    """Breaks per avalanche, and breaks, of a slider at the end of a spring, by a single
+    heap of all contacts."""
     np.random.seed(seed)  # noqa: NPY002  # the generator that numba has
     heap = [
         (math.sqrt(-math.log(np.random.random() * np.random.random())), i)  # noqa: NPY002
@@ -94,10 +94,7 @@ def time_elastic(sizes: Sizes, threads: int, seed: int) -> list[dict[str, Any]]:
             "B": plain,
         }
         rounds = interleaved(contenders, sizes.plain_repeats, seed)
-        cost = {
-            key: [(seconds / max(one.lives, 1), one) for seconds, one in of]
-            for key, of in rounds.items()
-        }
+        cost = per_life(rounds)
         gain = ratios("threads", cost, "eqsim, threads", "eqsim") | ratios(
             "B", cost, "B", "eqsim"
         )

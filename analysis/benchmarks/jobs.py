@@ -1,6 +1,6 @@
-"""The jobs that eqsim and its rivals share, and how contenders are timed: in
-interleaved rounds within one run, a ratio being the median over the rounds, so that a
-machine that is slow for a while is slow for all of them."""
+"""Jobs that eqsim and its rivals share. Contenders are timed in interleaved rounds
+within one run, and a ratio is the median over the rounds, so that a machine that is
+slow for a while is slow for all of them."""
 
 import math
 import statistics
@@ -13,11 +13,11 @@ from analysis.benchmarks import scalar, stepped, tuned
 from analysis.benchmarks.cases import VELOCITY, Case, Sizes
 from eqsim import Drive, Ensemble, Estimate, steady, trajectory
 
-WANTED = 0.75  # of rival C, at least
+WANTED = 0.75  # least seconds of rival C over those of eqsim
 
 
 class Outcome(NamedTuple):
-    """Friction as a contender found it."""
+    """Friction by a contender, with its standard error, and lives."""
 
     value: float
     stderr: float
@@ -29,9 +29,8 @@ class Outcome(NamedTuple):
 
 
 Contender = Callable[[int], Outcome]
-Rounds = dict[
-    str, list[tuple[float, Outcome]]
-]  # seconds and outcome of a contender in every round
+# seconds and outcome of each contender in every round
+Rounds = dict[str, list[tuple[float, Outcome]]]
 
 
 def interleaved(contenders: dict[str, Contender], repeats: int, seed: int) -> Rounds:
@@ -47,7 +46,8 @@ def interleaved(contenders: dict[str, Contender], repeats: int, seed: int) -> Ro
 
 
 def accuracy(ensemble: Ensemble, velocity: float, lives: int) -> float:
-    """The relative error of some 0.7 to 1.4 times so many plainly drawn lives."""
+    """Relative error that takes between 0.7 and 1.4 times `lives` plainly drawn
+    lives."""
     friction = steady(ensemble, Drive(velocity), rel_error=1.0, plain=True).friction
     return (
         1.3 * friction.stderr / friction.value * math.sqrt(friction.n / (0.7 * lives))
@@ -117,8 +117,8 @@ def time_trajectory(
 
 
 def time_plain(case: Case, sizes: Sizes, threads: int, seed: int) -> dict[str, Any]:
-    """Steady friction from about so many lives, plainly drawn; times are compared per
-    life."""
+    """Steady friction from about `sizes.lives` plainly drawn lives; times are compared
+    per life."""
     ensemble = case.ensemble(1)
     rel_error = accuracy(ensemble, VELOCITY, sizes.lives)
 
@@ -163,22 +163,21 @@ def time_steady(
     }
     rounds = interleaved(contenders, sizes.repeats, seed)
     value, error = pooled(rounds, "B")
-    needed = (
-        sizes.repeats * (error / value / rel_error) ** 2
-    )  # runs of sizes.scalar_lives
+    # runs of sizes.scalar_lives
+    needed = sizes.repeats * (error / value / rel_error) ** 2
     return summary(case, rounds, needed) | {"B_lives": needed * sizes.scalar_lives}
 
 
 def summary(
     case: Case, rounds: Rounds, b_factor: float = 1.0, per_life: bool = False
 ) -> dict[str, Any]:
-    """Speed and error of eqsim, what threads gain, and speed and score of rivals B and
-    C, as far as they took part."""
+    """Speed and error of eqsim, gain by threads, and speed and score of rivals B and C,
+    as far as they took part."""
     cost = rounds
     if per_life:
         cost = {
-            name: [(seconds / found.lives, found) for seconds, found in of]
-            for name, of in rounds.items()
+            name: [(seconds / outcome.lives, outcome) for seconds, outcome in timed]
+            for name, timed in rounds.items()
         }
     figures: dict[str, Any] = {"case": case.name} | speed(rounds, "eqsim", "")
     figures |= ratios("threads", cost, "eqsim, threads", "eqsim") | ratios(
@@ -211,9 +210,9 @@ def calls(owner: type, name: str, run: Callable[[], object]) -> int:
 def speed(rounds: Rounds, name: str, prefix: str) -> dict[str, float]:
     """Median seconds, lives and nanoseconds per life."""
     seconds = statistics.median(seconds for seconds, _ in rounds[name])
-    found = statistics.median(outcome.lives for _, outcome in rounds[name])
-    figures = {f"{prefix}seconds": seconds, f"{prefix}lives": found}
-    return figures | ({f"{prefix}ns_per_life": 1e9 * seconds / found} if found else {})
+    lives = statistics.median(outcome.lives for _, outcome in rounds[name])
+    figures = {f"{prefix}seconds": seconds, f"{prefix}lives": lives}
+    return figures | ({f"{prefix}ns_per_life": 1e9 * seconds / lives} if lives else {})
 
 
 def ratios(
@@ -221,14 +220,14 @@ def ratios(
 ) -> dict[str, float]:
     """Seconds of `this` over those of `that`, times `factor`: median, least and
     greatest over the rounds."""
-    found = [
-        factor * one / other
-        for (one, _), (other, _) in zip(rounds[this], rounds[that], strict=True)
+    values = [
+        factor * seconds / other
+        for (seconds, _), (other, _) in zip(rounds[this], rounds[that], strict=True)
     ]
     return {
-        figure: statistics.median(found),
-        f"{figure}_low": min(found),
-        f"{figure}_high": max(found),
+        figure: statistics.median(values),
+        f"{figure}_low": min(values),
+        f"{figure}_high": max(values),
     }
 
 

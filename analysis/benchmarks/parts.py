@@ -1,10 +1,11 @@
-"""python -m analysis.benchmarks.parts: where the nanoseconds of a life go, in eqsim and
+"""python -m analysis.benchmarks.parts: nanoseconds of each part of a life, in eqsim and
 in rival C.
 
-Both are stripped of one part after the other: random words only; thresholds and clocks
-from them; where lives break; and the whole, which records them in a trajectory or adds
-them up in a steady average. What a part costs is the difference. Times are of the
-processor, one thread, the least of many short rounds in which all take turns.
+Both are timed with more and more parts: random words only; thresholds and clocks from
+them; the stretches at which lives break; and the whole, which records lives in a
+trajectory or adds them up in a steady average. The cost of a part is the difference.
+Times are of the processor, one thread, the least of many short rounds in which all take
+turns.
 """
 
 import time
@@ -52,15 +53,13 @@ PARTS = {
 }
 MEANING = {
     "draw": "draw (random words)", "threshold": "threshold and clock", "break": "break",
-    "record": "record, or add up",
+    "record": "record or add up",
 }  # fmt: skip
 JOBS = {"trajectory": "trajectory", "steady": "plain steady average"}
 
-Work = Callable[[], int]  # does it, and says how many lives
-numba_options: dict[str, Any] = {
-    "nogil": True,
-    "error_model": "numpy",
-}  # as eqsim compiles
+Work = Callable[[], int]  # does the work, and returns the number of lives
+# as eqsim compiles
+numba_options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
 @numba.njit(**numba_options)
@@ -158,20 +157,20 @@ def measure(case: Case, sizes: Sizes, rounds: int) -> list[dict[str, Any]]:
     contenders = {"eqsim": of_eqsim(case, sizes)} | (
         {"C": of_c(case, sizes)} if tuned.available() else {}
     )
-    least = {(who, what): np.inf for who, works in contenders.items() for what in works}
+    least = {(who, work): np.inf for who, works in contenders.items() for work in works}
     for number in range(rounds + 1):
-        for who, what in list(least)[:: (-1) ** number]:
+        for who, work in list(least)[:: (-1) ** number]:
             begin = time.process_time()
-            lives = contenders[who][what]()
+            lives = contenders[who][work]()
             spent = 1e9 * (time.process_time() - begin) / lives
             if number > 0:  # the first compiles
-                least[who, what] = min(least[who, what], spent)
+                least[who, work] = min(least[who, work], spent)
     rows = []
     for job in JOBS:
         for who in contenders:
             until = [
                 0.0,
-                *(least[who, what] for what in ("draw", "threshold", "break", job)),
+                *(least[who, work] for work in ("draw", "threshold", "break", job)),
             ]
             parts = dict(zip(PARTS, np.diff(np.maximum.accumulate(until)), strict=True))
             rows.append(
@@ -187,8 +186,7 @@ def measure(case: Case, sizes: Sizes, rounds: int) -> list[dict[str, Any]]:
 
 
 def table(figures: pd.DataFrame) -> Table:
-    """Nanoseconds of a life by part; of both, and what C takes over what eqsim takes of
-    the whole."""
+    """Nanoseconds of a life by part, of eqsim and C, and the ratio of the wholes."""
     shown = Table(
         box=box.SIMPLE_HEAD,
         pad_edge=False,

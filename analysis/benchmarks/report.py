@@ -1,4 +1,4 @@
-"""The figures as a table and as a picture."""
+"""Timings as a table and as a picture."""
 
 import math
 from collections.abc import Callable
@@ -23,7 +23,7 @@ def short(ratio: float) -> str:
 
 
 def target(row: pd.Series) -> str:
-    """The ratio to C that is wanted, on one thread and on several, and if it is met."""
+    """Wanted ratio of C to eqsim, and if it is met on one thread and on several."""
     met = [row["C"] >= row["wanted"], row["C_both_threads"] >= row["wanted"]]
     said = "met" if all(met) else "in part" if any(met) else "missed"
     return f"{row['wanted']:.2f} {said}"
@@ -39,9 +39,8 @@ def column(
     return name, lambda row: form(row[name])
 
 
-COLUMNS: dict[
-    str, tuple[str, Callable[[pd.Series], str]]
-] = {  # heading: a figure it needs, and how to print it
+# heading: a figure that the column needs, and its format
+COLUMNS: dict[str, tuple[str, Callable[[pd.Series], str]]] = {
     "s": column("seconds", "{:.3g}".format),
     "ns": column("ns_per_life", short),
     "ns/step": column("ns_per_step", short),
@@ -72,7 +71,7 @@ BARS = {  # figure: label and colour
 
 
 def notes(sizes: Sizes, threads: int) -> str:
-    """How to read the figures."""
+    """Explanation of the columns, below the tables."""
     return (
         f"Medians over {sizes.repeats} interleaved rounds (plain averages: "
         f"{sizes.plain_repeats}). A, B, C: seconds "
@@ -109,7 +108,7 @@ def notes(sizes: Sizes, threads: int) -> str:
 
 
 def tables(figures: pd.DataFrame) -> list[Table]:
-    """Of the jobs with rivals, and of the others."""
+    """Tables of the jobs with rivals, and of the others."""
     compared = figures["B"].notna()
     return [table(figures[compared]), table(figures[~compared])]
 
@@ -180,9 +179,9 @@ def _bars(panel: Axes, rows: pd.DataFrame) -> None:
         y = [at + height * (index - (len(names) - 1) / 2) for at in range(len(rows))]
         panel.barh(y, value - 1, height * 0.92, left=1, color=BARS[name][1])
         panel.hlines(y, low, high, color="#333333", lw=1)
-        for at, one, end in zip(y, value, high, strict=True):
+        for at, ratio, end in zip(y, value, high, strict=True):
             panel.annotate(
-                short(one),
+                short(ratio),
                 (max(end, 1.0), at),
                 (4, 0),
                 textcoords="offset points",
@@ -201,9 +200,8 @@ def _bars(panel: Axes, rows: pd.DataFrame) -> None:
     ends = rows[[f"{name}_{end}" for name in names for end in ("low", "high")]]
     least, most = ends.min(axis=None), ends.max(axis=None)
     panel.set_xscale("log")
-    panel.set_xlim(
-        0.7 * least, 1.25 * most * (most / least) ** 0.15
-    )  # room for the last number
+    # room for the last number
+    panel.set_xlim(0.7 * least, 1.25 * most * (most / least) ** 0.15)
     panel.axvline(1, color="#333333", lw=1)
     panel.xaxis.set_major_formatter("{x:,g}")
     panel.xaxis.set_minor_formatter("")

@@ -49,8 +49,8 @@ def dawson(z: float) -> float:
 
 @numba.njit
 def soft_stretch(xi: float, a: float, log_clock: float) -> float:
-    """Where ln of the soft hazard is `log_clock`, or xi: Newton on ln erfi(z) = z^2 +
-    ln(D(z)) + const, slope 1/D."""
+    """Stretch at which ln of the soft hazard is `log_clock`, or xi, by Newton's method
+    for ln erfi(z) = z^2 + ln(D(z)) + const, slope 1/D."""
     root = math.sqrt(a)
     target = log_clock + math.log(root / _HALF_ROOT_PI) + a * xi * xi
     if target < 0.0:
@@ -69,7 +69,7 @@ def soft_stretch(xi: float, a: float, log_clock: float) -> float:
 
 @numba.njit
 def stiff_stretch(xi: float, a: float, clock: float) -> float:
-    """Where the stiff hazard is `clock`, or xi."""
+    """Stretch at which the stiff hazard is `clock`, or xi."""
     c = a * xi * xi
     y = math.exp(-c) + 1.5 * a * xi * clock
     return xi if y >= 1.0 else xi * (1.0 - (-math.log(y) / c) ** (2.0 / 3.0))

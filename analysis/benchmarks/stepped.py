@@ -1,8 +1,8 @@
 """Rival A: a researcher's NumPy script. All contacts move by dX at a time and each
 breaks with probability r dt.
 
-Two kindnesses: what a rate needs is kept from birth, and a detached contact counts up
-from -v tau, so that no lists of pinned and detached contacts have to be kept.
+It is faster than most: the constants of a rate are kept from birth, and a detached
+contact counts up from -v tau, which saves lists of pinned and detached contacts.
 """
 
 import math

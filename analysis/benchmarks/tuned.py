@@ -1,9 +1,9 @@
-"""Rival C: the same work in C by hand (`tuned.c`), compiled when it is needed: how fast
-this machine can do it.
+"""Rival C: the same work in C by hand (`tuned.c`), compiled when it is needed, as a
+measure of what this machine can do.
 
-Every contact draws from the generator eqsim uses, lives are exact, and what comes out
-is what eqsim records: mean force, pinned fraction and variance over contacts at every
-grid point, and sums of batches over the second half.
+Every contact draws from the generator that eqsim uses, lives are exact, and the results
+are those that eqsim records: mean force, pinned fraction and variance over contacts at
+every grid point, and sums of batches over the second half.
 """
 
 import ctypes
@@ -92,10 +92,10 @@ def library(*flags: str) -> ctypes.CDLL:
             "-lm",
         ]
         subprocess.run(command, check=True, capture_output=True, text=True)
-        found = ctypes.CDLL(str(target))
-    found.trajectory.restype = ctypes.c_int64
-    found.prepare(_pointer(_erfi_inverse()))
-    return found
+        compiled = ctypes.CDLL(str(target))
+    compiled.trajectory.restype = ctypes.c_int64
+    compiled.prepare(_pointer(_erfi_inverse()))
+    return compiled
 
 
 @functools.cache
@@ -120,10 +120,10 @@ def _erfi_inverse() -> Array:
         low = 2.0 ** (cell // 2 - 1) * (1.0 + 0.5 * (cell % 2))
         high = 2.0 ** (cell // 2 - 1) * (1.5 + 0.5 * (cell % 2))
         middle, half = (low + high) / 2, (high - low) / 2
-        found = chebyshev.chebinterpolate(
+        series = chebyshev.chebinterpolate(
             lambda t, middle=middle, half=half: _ratio(middle + half * t - 0.5), DEGREE
         )
-        powers = chebyshev.cheb2poly(found) / half ** np.arange(DEGREE + 1)
+        powers = chebyshev.cheb2poly(series) / half ** np.arange(DEGREE + 1)
         table[:, (2 * 1022 + cell) % 16] = [middle, *powers[::-1]]
     return table
 
@@ -132,9 +132,8 @@ def _ratio(s: Array) -> Array:
     s = np.maximum(s, 1e-6)
     target = np.where(s > 40, s, np.log(np.expm1(np.minimum(s, 40))))
     z = np.where(s < 1, s * math.sqrt(math.pi) / 2, np.sqrt(s + 1))
-    for _ in range(
-        60
-    ):  # Newton for ln erfi(z) = z^2 + ln(2/sqrt(pi) D(z)), whose derivative is 1/D
+    # Newton for ln erfi(z) = z^2 + ln(2/sqrt(pi) D(z)), whose derivative is 1/D
+    for _ in range(60):
         d = special.dawsn(z)
         z = np.maximum(
             z - (z**2 + np.log(2 / math.sqrt(math.pi) * d) - target) * d, z / 4
@@ -215,8 +214,8 @@ def steady(case: Case, lives: int, seed: int, threads: int = 1) -> tuple[float, 
 
 
 def stripped(case: Case, upto: int, lives: int) -> int:
-    """Lives as far as drawn (0), drawn with thresholds and clocks (1), or broken (2),
-    of which nothing is kept; how many."""
+    """Draw the random words of lives (`upto` = 0), with thresholds and clocks (1), or
+    until they break (2), and keep nothing; returns the number of lives."""
     size = -(-lives // 128) * 128
     library().stripped(
         ctypes.byref(_law(case, 1)), ctypes.c_int(upto), ctypes.c_int64(size)

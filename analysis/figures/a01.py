@@ -35,7 +35,7 @@ FORMULAS = {
 
 
 def curves() -> list[Curve]:
-    """Both ensembles."""
+    """Curves of both ensembles."""
     contacts = {
         name: Ensemble(thermal=Thermal(kT=1.0), stiffness_law="uniform", disorder=name)
         for name in ("annealed", "quenched")

@@ -23,7 +23,7 @@ def name(disorder: str, barrier: str, kT: float) -> str:
 
 
 def curves() -> list[Curve]:
-    """Both ensembles, barriers and temperatures."""
+    """Curves of both ensembles, all barriers and temperatures."""
     return [
         Curve(
             name(disorder, barrier, kT),
@@ -41,7 +41,7 @@ def curves() -> list[Curve]:
 
 
 def formulas(table: pd.DataFrame) -> pd.DataFrame:
-    """None: there is no closed form for stiff contacts."""
+    """No rows: there is no closed form for stiff contacts."""
     return table.iloc[:0]
 
 

@@ -31,7 +31,7 @@ LABELS = {D: r"$D = \infty$" if math.inf == D else f"$D = {D:g}$" for D in RATES
 
 
 def rates(model: str) -> list[tuple[float, dict]]:
-    """D and the look of its curve."""
+    """Aging rates D of a model, and the styles of their curves."""
     return [
         (D, style)
         for D, style in zip(RATES, SERIES, strict=True)
@@ -40,7 +40,7 @@ def rates(model: str) -> list[tuple[float, dict]]:
 
 
 def curves(temperatures: tuple[float, ...] = (1.0, 0.0)) -> list[Curve]:
-    """Every model and rate, with particles on the warm curves."""
+    """Curves of all models and rates, with particles on the warm ones."""
     return [
         Curve(
             aging_name(model, D, kT),
@@ -55,7 +55,7 @@ def curves(temperatures: tuple[float, ...] = (1.0, 0.0)) -> list[Curve]:
 
 
 def formulas(table: pd.DataFrame) -> pd.DataFrame:
-    """None."""
+    """No rows: there is no closed form."""
     return table.iloc[:0]
 
 

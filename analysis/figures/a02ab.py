@@ -32,7 +32,7 @@ WINDOW = 1.0  # decades
 
 
 def curves() -> list[Curve]:
-    """Those of A02 at kT = k x_*f^2."""
+    """Curves of A02 at kT = k x_*f^2."""
     return a02.curves(temperatures=(1.0,))
 
 
@@ -50,9 +50,8 @@ def formulas(table: pd.DataFrame) -> pd.DataFrame:
             near = (v >= v[first]) & (v <= v[first] * 10**WINDOW * (1 + 1e-9))
             fit = stats.linregress(np.log(v[near]), np.log(f_k[near] / v[near]))
             eta = np.exp(fit.intercept + fit.slope * np.log(v[near]))
-            error = (
-                fit.stderr if near.sum() > 2 else math.nan
-            )  # a line through two points says nothing of its error
+            # a line through two points says nothing of its error
+            error = fit.stderr if near.sum() > 2 else math.nan
             fitted = {
                 "exponent": -fit.slope,
                 "exponent_error": error,

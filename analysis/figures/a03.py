@@ -40,7 +40,7 @@ def name(model: str, v_d: float) -> str:
 
 
 def curves() -> list[Curve]:
-    """Every model, at fixed tau."""
+    """Curves of all models at fixed tau."""
     return [
         Curve(
             name(model, v_d),

@@ -35,7 +35,8 @@ SMALL = 2.0  # the expansion is drawn where S_2 and S_3 are less
 
 
 def curves() -> list[Curve]:
-    """The published master equation, and literal contacts whose thresholds flow."""
+    """Curves of the published master equation, and of literal contacts whose thresholds
+    flow."""
     return [
         Curve(
             aging_name(model, D, 1.0), aging_contacts(model, D, 1.0), VELOCITIES, POINTS

@@ -19,7 +19,7 @@ def name(disorder: str, layers: int) -> str:
 
 
 def curves() -> list[Curve]:
-    """Both ensembles of every film."""
+    """Curves of both ensembles for all films."""
     return [
         Curve(
             name(disorder, layers),
@@ -33,7 +33,7 @@ def curves() -> list[Curve]:
 
 
 def formulas(table: pd.DataFrame) -> pd.DataFrame:
-    """None."""
+    """No rows: there is no closed form."""
     return table.iloc[:0]
 
 

@@ -16,7 +16,7 @@ Names = Annotated[
     list[str] | None,
     Argument(
         metavar="NAME",
-        help=f"Of {', '.join(map(figure, FIGURES))}, by name or number. Default: all.",
+        help=f"{', '.join(map(figure, FIGURES))}, by name or number. Default: all.",
     ),
 ]
 Out = Annotated[Path, Option(help="Folder for NAME.pdf, NAME.png and NAME.parquet.")]
@@ -55,17 +55,17 @@ def figures(
     bar = shown.bar("computing", "points")
     try:
         with Workers(count).fixed_pool() as pool, bar as progress:
-            how: dict[str, Any] = {"executor": pool.executor, "progress": progress}
-            made.extend(make(wanted, out, quick=quick, **how))
+            means: dict[str, Any] = {"executor": pool.executor, "progress": progress}
+            made.extend(make(wanted, out, quick=quick, **means))
     except KeyboardInterrupt:
         signals.acknowledge()
-        finished = ", ".join(one.name for one in made)
+        finished = ", ".join(f.name for f in made)
         raise KeyboardInterrupt(
             f"finished in {out}/: {finished}" if made else ""
         ) from None
-    made.sort(key=lambda one: wanted.index(one.name))
+    made.sort(key=lambda f: wanted.index(f.name))
     shown.report(
-        {"out": str(out), "figures": [one._asdict() for one in made]},
+        {"out": str(out), "figures": [f._asdict() for f in made]},
         title="figures: simulated contacts against the master equation of their "
         "ensemble",
         columns=("", "Fig.", "curves", "estimates", "largest |z|", "chi-square p"),
@@ -77,8 +77,7 @@ def figures(
             for f in made
         ],
         notes=[
-            f"{out}/: {', '.join(one.name for one in made)}, each .pdf, .png and "
-            f".parquet",
+            f"{out}/: {', '.join(f.name for f in made)}, each .pdf, .png and .parquet",
             f"Fig.: of {ARTICLE}",
         ],
     )

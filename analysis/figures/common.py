@@ -1,5 +1,5 @@
-"""Common parts of the figures: a curve to compute, models of aging contacts, and how
-curves, particles and scores look."""
+"""Common parts of the figures: curves to compute, models of aging contacts, and the
+looks of curves, particles and scores."""
 
 import math
 from dataclasses import dataclass, replace
@@ -25,7 +25,8 @@ STYLE = HOUSE | {
 BLACK = "black"
 ANNEALED: dict[str, Any] = {"color": BLACK, "linestyle": "-", "marker": "o"}
 QUENCHED: dict[str, Any] = {"color": ORANGE, "linestyle": "--", "marker": "s"}
-SERIES: list[dict[str, Any]] = [  # of one parameter
+# of curves with several values of one parameter
+SERIES: list[dict[str, Any]] = [
     {"color": "#000000", "linestyle": "-", "marker": "o"},
     {"color": GREEN, "linestyle": (0, (6, 1.5)), "marker": "s"},
     {"color": BLUE, "linestyle": (0, (4, 1, 1, 1)), "marker": "^"},
@@ -33,11 +34,8 @@ SERIES: list[dict[str, Any]] = [  # of one parameter
     {"color": ORANGE, "linestyle": (0, (6, 1, 1, 1, 1, 1)), "marker": "v"},
     {"color": "#9A9A9A", "linestyle": "-", "marker": "P"},
 ]
-MODELS = (
-    "annealed",
-    "flow",
-    "langevin",
-)  # the published master equation, and two kinds of literal contacts
+# the published master equation, and two kinds of literal contacts
+MODELS = ("annealed", "flow", "langevin")
 MODEL_TITLES = {
     "annealed": "annealed (published)",
     "flow": "quenched, flow",
@@ -128,8 +126,8 @@ def formula(
 
 def solved(table: pd.DataFrame, name: str) -> pd.DataFrame:
     """The master equation's rows of a curve, by velocity."""
-    found = table[(table.curve == name) & (table.source != "particles")]
-    return found.sort_values("velocity")
+    rows = table[(table.curve == name) & (table.source != "particles")]
+    return rows.sort_values("velocity")
 
 
 def draw(
@@ -141,8 +139,8 @@ def draw(
     y: str = "friction",
     **more: Any,
 ) -> None:
-    """A curve as a line, its particles as open markers with bars of two standard
-    errors."""
+    """Draw a curve as a line, and its particles as open markers with bars of two
+    standard errors."""
     line, look = solved(table, name), style | more
     marker = look.pop("marker", "none")
     axes.plot(line.velocity, line[y], label=label, **look)
@@ -163,7 +161,7 @@ def draw(
 
 
 def scores(axes: Axes, table: pd.DataFrame, styles: dict[str, dict[str, Any]]) -> None:
-    """Strip of (particles - master equation) in standard errors, and a band of two."""
+    """Draw (particles - master equation) in standard errors, and a band of two."""
     axes.axhspan(-2, 2, color="0.9", linewidth=0)
     for name, style in styles.items():
         points = table[(table.curve == name) & (table.source == "particles")]
@@ -181,4 +179,4 @@ def scores(axes: Axes, table: pd.DataFrame, styles: dict[str, dict[str, Any]]) -
     axes.set(ylim=(-limit, limit), yticks=(-2, 0, 2), xscale="log")
 
 
-SCORES_LABEL = "z"
+SCORES_LABEL = "score  $z$"

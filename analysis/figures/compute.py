@@ -1,6 +1,6 @@
 """The figures of Braun and Peyrard (2011), recomputed, with particles on them.
 
-One module per figure, named in lower case, with `curves()`, what is to be computed;
+Each figure has a module, named in lower case, with `curves()`, the curves to compute;
 `formulas(table)`, the rows of approximations and fits; and `plot(table)`. Every
 velocity of every curve comes from the master equation of its model, every marker from
 an estimate by particles (`eqsim.steady`). `python -m analysis.figures` makes them.
@@ -91,7 +91,7 @@ def tabulate(
     executor: Executor,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Every row of the named figures, as they are finished: curves, particles and
+    """Yield the table of each named figure once it is finished: curves, particles and
     formulas."""
     curves = {name: _module(name).curves() for name in names}
     if quick:  # lines without particles are left out
@@ -112,8 +112,8 @@ def repeat(
     """Make the table of a figure again, from its provenance."""
     name, quick = origin["settings"]["figure"], origin["settings"]["quick"]
     with Workers(workers).fixed_pool() as pool:
-        how: dict[str, Any] = {"executor": pool.executor, "progress": progress}
-        return dict(tabulate([name], quick=quick, **how))[name]
+        means: dict[str, Any] = {"executor": pool.executor, "progress": progress}
+        return dict(tabulate([name], quick=quick, **means))[name]
 
 
 def _module(name: str) -> Any:
@@ -125,8 +125,8 @@ def compute(
     executor: Executor,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Iterator[tuple[str, pd.DataFrame]]:
-    """A table of the curves of each figure, as they are finished: one row per velocity
-    and source, each point computed once."""
+    """Yield the table of the curves of each figure once it is finished: one row per
+    velocity and source. Each point is computed once."""
     jobs = {
         name: [job for curve in every for job in _jobs(curve)]
         for name, every in curves.items()
@@ -136,18 +136,22 @@ def compute(
         for job in dict.fromkeys(itertools.chain(*jobs.values()))
     }
     missing = {name: set(every) for name, every in jobs.items()}
-    found: dict[_Job, Estimate] = {}
+    estimates: dict[_Job, Estimate] = {}
     for future in as_completed(pending):
         job = pending[future]
-        found[job] = future.result()
-        progress(len(found), len(pending))
+        estimates[job] = future.result()
+        progress(len(estimates), len(pending))
         for name in [name for name, rest in missing.items() if job in rest]:
             missing[name].discard(job)
             if not missing[name]:
                 yield (
                     name,
                     pd.DataFrame(
-                        [row for curve in curves[name] for row in _rows(curve, found)]
+                        [
+                            row
+                            for curve in curves[name]
+                            for row in _rows(curve, estimates)
+                        ]
                     ),
                 )
 
@@ -169,13 +173,13 @@ def _compute(job: _Job) -> Estimate:
     return steady(job.ensemble, drive, rel_error=rel_error).friction
 
 
-def _rows(curve: Curve, found: dict[_Job, Estimate]) -> Iterator[dict[str, Any]]:
+def _rows(curve: Curve, estimates: dict[_Job, Estimate]) -> Iterator[dict[str, Any]]:
     """The master equation along a curve, then particles; z compares the two."""
     for particles, velocities in ((False, curve.velocities), (True, curve.points)):
         for v in velocities:
             exact, value = (
-                found[_Job(False, curve.ensemble, v)],
-                found[_Job(particles, curve.ensemble, v)],
+                estimates[_Job(False, curve.ensemble, v)],
+                estimates[_Job(particles, curve.ensemble, v)],
             )
             yield curve.row() | {
                 "velocity": v,

@@ -1,14 +1,14 @@
 """Sizes of the avalanches of infinitely many contacts that are pulled infinitely slowly
 at T = 0 (derived).
 
-Contacts, born unstressed, share the spring's force with stiffness k_t each in the mean
-over those that are pinned: a life is seen in proportion to its travel xi, so k_t =
-E[k_i xi]/E[xi], which is k of uniform contacts and k xi_rms/<xi> of the sqrt law. A
-break loses the force d = k_i xi_i and moves the slider by d/(K + N k_t), and then rho
-d/<d> more contacts break in the mean, independently of each other, rho = N k_t/(N k_t +
-K). With coupled blocks the same is true of the sum over blocks, whatever elastic
-response shares that out. An avalanche is then the progeny of one break, or the
-customers of a busy period of the queue M/G/1 with load rho and service d:
+Contacts are born unstressed. The mean stiffness of a pinned one is k_t = E[k_i
+xi]/E[xi], as a life is pinned in proportion to its travel xi: k for uniform contacts,
+and k xi_rms/<xi> for the sqrt law. A break loses the force d = k_i xi_i and moves the
+slider by d/(K + N k_t), and then rho d/<d> more contacts break in the mean,
+independently of each other, rho = N k_t/(N k_t + K). With coupled blocks the same is
+true of the sum over blocks, whatever their elastic response. An avalanche is then the
+progeny of one break, or the customers of a busy period of the queue M/G/1 with load rho
+and service d:
 
     P(s) = E[exp(-t) t^(s-1)]/s!,    t = rho (d_1 + ... + d_s)/<d>,
     <s> = 1/(1 - rho) = 1 + N k_t/K.
@@ -25,8 +25,9 @@ from eqsim.laws.threshold import ThresholdLaw
 from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
-# Octaves of -ln P(xi > .), beyond which nothing counts.
+# log2 of -ln P(xi > .) at the beginnings of panels; nothing counts beyond these.
 _SERVICE_OCTAVES = np.arange(-54.0, 6.0)
+# Largest size up to which the law is solved for, to bound time and memory.
 _LARGEST_SIZE = 20_000
 
 
@@ -38,7 +39,7 @@ def shared_stiffness(law: ThresholdLaw, stiffness: StiffnessLaw = "uniform") -> 
 def load_of(
     law: ThresholdLaw, spring: float, stiffness: StiffnessLaw = "uniform"
 ) -> float:
-    """rho of contacts behind a spring of the stiffness `spring` = K/(N k)."""
+    """Load rho of contacts behind a spring of the stiffness `spring` = K/(N k)."""
     k = shared_stiffness(law, stiffness)
     return k / (k + spring)
 
@@ -47,7 +48,7 @@ def size_law(
     law: ThresholdLaw, load: float, most: int, stiffness: StiffnessLaw = "uniform"
 ) -> Array:
     """P(1), ..., P(most), shape (most,), to 1e-10 (thresholds whose law has gaps:
-    1e-4), at the `load` rho, in (0, 1); `most` up to 20000. Raises InputError for
+    1e-4), at the `load` rho, in (0, 1]; `most` up to 20000. Raises InputError for
     values out of range."""
     require_number("load", load, above=0.0, most=1.0)
     require_integer("most", most, 1, _LARGEST_SIZE)
@@ -75,8 +76,8 @@ class FewContacts(NamedTuple):
 def missed_by_few(
     law: ThresholdLaw, load: float, contacts: int, stiffness: StiffnessLaw = "uniform"
 ) -> FewContacts:
-    """Corrections that `contacts` on one spring make, to the first order in 1/n
-    (derived); coupled blocks share it out, and change less.
+    """Corrections for n = `contacts` on one spring instead of infinitely many, to first
+    order in 1/n (derived). With coupled blocks they are smaller.
 
     The contact that breaks is none of those that may follow, so that rho is (1 - 1/n)
     times as large. An avalanche begins with probability 1 - rho (1 - 1/n) per break
@@ -95,8 +96,8 @@ def missed_by_few(
 def _services(
     law: ThresholdLaw, load: float, stiffness: StiffnessLaw
 ) -> tuple[Array, Array]:
-    """Breaks t that follow from a break directly, in the mean, and their probabilities,
-    arrays (nodes,): nodes and weights of E[.] over the drop d of a break."""
+    """Mean number t of breaks that follow directly from a break, and its probability,
+    arrays (nodes,): nodes and weights of E[.] over the force d that a break loses."""
     if law.steps.size:
         xi, weight = np.unique(law.steps, return_counts=True)
     else:
@@ -105,12 +106,12 @@ def _services(
         xi, weight = np.asarray(law.inverse_survival(e)), weight * np.exp(-e)
     share, xi = weight / np.sum(weight), xi / law.scale
     drop = xi * relative_stiffness(stiffness, xi, law.rms / law.scale)
-    # the mean of the same nodes
+    # <d> by the same nodes, so that the mean of t is the load
     return load * drop / np.sum(share * drop), share
 
 
 def _offspring(t: Array, weight: Array, most: int) -> Array:
-    """P(0), ..., P(most - 1) of the number of breaks that follow from one directly,
+    """P(0), ..., P(most - 1) of the number of breaks that follow directly from one,
     E[exp(-t) t^k/k!]."""
     chance = np.zeros(most)
     for k in range(most):

@@ -19,8 +19,8 @@ amplified or damped by the contacts.
 
 Lengths are in units of the law's scale and time is displacement, V = 1. Means over
 births are sums over Gauss-Legendre nodes in the normal deviate of the threshold. Two
-sets of panels, of different range, give the result and its error, which is large where
-thresholds far above most let the means of decaying exponentials diverge.
+sets of panels, of different range, give the result and its error. The error is large
+where rare, strong thresholds let the means of decaying exponentials diverge.
 """
 
 import math
@@ -41,16 +41,16 @@ METHOD = "characteristic equation"
 
 
 class Nodes(NamedTuple):
-    """How finely a law is resolved: panels, and the range of thresholds in normal
-    deviates, on either side."""
+    """Resolution of a law: panels, and the range of thresholds on either side in normal
+    deviates."""
 
     panels: int
     reach: float
 
 
 FINE = Nodes(128, 8.2)
-# Another number of panels and another range than FINE, so that the difference tells the
-# error of either.
+# Fewer panels and a smaller range than FINE, so that the difference shows the error of
+# either.
 COARSE = Nodes(64, 7.4)
 # Fewest panels, for scans.
 SCAN = Nodes(24, 8.2)
@@ -60,20 +60,20 @@ _SERIES = np.array([(-1.0) ** k * (k - 1) / math.factorial(k) for k in range(2, 
 _TERMS_AT_ONCE = 2**21
 # The step of the scan in phase over a cycle.
 _PHASE = 0.05
-# The first range of the scan in 1/threshold.
+# The first range of the scan, over 1/(mean threshold).
 _FIRST_RANGE = 6.0
-# Points of the scan at most.
+# Most points of the scan.
 _SCAN_POINTS = 100_000
-# Share of the largest Z below which no border is looked for.
+# Share of the largest Z below which no border is sought.
 _FAINT = 1e-4
 # Rounds of Newton's method.
 _ROUNDS = 25
 # The relative step that ends it, after which a root is good to its square, or to
 # rounding.
 _LAST_STEP = 1e-8
-# How small the equation is at a root, relative to its terms.
+# Largest value of the equation at a root, relative to its terms.
 _AT_ROOT = 1e-9
-# Decays faster than so many per cycle are not looked for.
+# Largest decay per cycle of a root that is sought.
 _FASTEST_DECAY = 4.0
 
 # An estimate without a value.
@@ -81,16 +81,17 @@ NO_VALUE = Estimate(None, None, 0)
 
 
 class Mode(NamedTuple):
-    """A perturbation: rate of growth (1/time, negative: of decay), and period (time),
-    without a value if it does not oscillate; neither has a value if all decay within a
-    cycle."""
+    """Slowest perturbation: rate of growth (1/time; negative: it decays), and period
+    (time), which has no value if it does not oscillate; neither has one if all decay
+    within a cycle."""
 
     growth: Estimate
     period: Estimate
 
 
 def mode(p: complex, error: float, least: float, reliable: bool = True) -> Mode:
-    """The perturbation exp(p t); frequencies below `least` are none."""
+    """Mode exp(p t), p with an `error`; it oscillates if its frequency exceeds
+    `least`."""
     growth, period = Estimate(p.real, error, 0, None, reliable), None
     frequency = abs(p.imag)
     if frequency > least:
@@ -100,10 +101,10 @@ def mode(p: complex, error: float, least: float, reliable: bool = True) -> Mode:
 
 
 class Loop(NamedTuple):
-    """The loop that answers to a perturbation: thresholds of newborn contacts, their
+    """Numbers of the characteristic equation: thresholds of newborn contacts, their
     shares and kappa, arrays (nodes,); delays; the viscous force of a detached contact;
-    and the damping, also by contacts that are detached in the mean, and the mass of the
-    slider."""
+    beta; the damping, with that by the mean share of detached contacts; and the mass of
+    the slider."""
 
     xi: Array
     share: Array
@@ -116,7 +117,7 @@ class Loop(NamedTuple):
 
     @property
     def cycle(self) -> float:
-        """C + V tau."""
+        """Mean length of a cycle, C + V tau."""
         return 1.0 / self.beta
 
     def response(self, p: Array) -> Array:
@@ -142,8 +143,9 @@ class Loop(NamedTuple):
 
 
 def loop_of(contacts: Reduced, pull: Pull, nodes: Nodes) -> Loop:
-    """The loop with nodes that stand for the law, of a discrete law all its thresholds.
-    Raises InputError for identical contacts with a fixed delay."""
+    """Numbers of the characteristic equation, with `nodes` that represent the law, or
+    all thresholds of a discrete law. Raises InputError for identical contacts with a
+    fixed delay."""
     law, delay = contacts.law, contacts.delay
     if law.steps.size:
         xi, share, kappa = different_steps(contacts)
@@ -171,22 +173,22 @@ class Border(NamedTuple):
 
 
 def border_of(loop: Loop, coarse: Loop) -> Border:
-    """Below it steady sliding is unstable: the greatest of m w^2 - Re Z(i w) over the
-    roots of eta w + Im Z(i w) = 0.
+    """Find the stiffness below which steady sliding is unstable: the greatest of
+    m w^2 - Re Z(i w) over the roots of eta w + Im Z(i w) = 0.
 
-    Infinite of a slider with a mass, no damping and contacts with a fixed delay:
-    whenever w tau is near a multiple of 2 pi Im Z changes its sign. The scan, with the
-    nodes of `coarse`, ends where |Z| is below the greatest found, or too small for
-    another root; of discrete thresholds without damping, whose |Z| does not fall, after
-    `_SCAN_POINTS` steps. Raises InputError if with a mass it does not end.
+    It is infinite for a slider with a mass and no damping if the delay is fixed, as Im
+    Z changes its sign whenever w tau is near a multiple of 2 pi. The scan, with the
+    nodes of `coarse`, ends where |Z| is below the greatest so far, or too small for
+    another root; for discrete thresholds without damping, whose |Z| does not fall,
+    after `_SCAN_POINTS` steps. Raises InputError if with a mass it does not end.
     """
     if loop.mass > 0.0 and loop.damping == 0.0 and isinstance(loop.delay, Fixed):
         return Border(math.inf, math.inf)
     mean = float(coarse.share @ coarse.xi)
     apart = max(float(coarse.share @ coarse.xi**2) - mean**2, 0.0)
     apart += 0.0 if isinstance(loop.delay, Fixed) else loop.delay.mean**2
-    # contacts in step lose 2 (pi width)^2 of a phase in a cycle, width that of its
-    # length
+    # contacts in step lose 2 (pi width)^2 of a phase in a cycle, width being the
+    # scatter of cycles over their length
     step = _PHASE * min(1.0, 20.0 * apart / loop.cycle**2 + 0.02) / loop.cycle
     best, largest, low, high = Border(0.0, 0.0), 0.0, step, _FIRST_RANGE / mean
     while True:
@@ -220,7 +222,7 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
 
 
 def _crossing(loop: Loop, low: float, high: float) -> Border:
-    """Where a root crosses the imaginary axis between two frequencies."""
+    """Crossing of a root and the imaginary axis between two frequencies."""
 
     def balance(w: float) -> complex:
         return complex(loop.balance(np.array([1j * w]), 0.0)[0])
@@ -228,16 +230,17 @@ def _crossing(loop: Loop, low: float, high: float) -> Border:
     def phase(w: float) -> float:
         return balance(w).imag
 
-    if phase(low) * phase(high) > 0.0:  # the coarser nodes differ
+    if phase(low) * phase(high) > 0.0:  # a root of the coarser nodes only
         return Border(0.0, 0.0)
     w = float(optimize.brentq(phase, low, high, xtol=1e-14, rtol=1e-13))
     return Border(-balance(w).real, w)
 
 
 def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
-    """The root of the characteristic equation with the largest real part, imaginary
-    part >= 0; None if all decay faster than `_FASTEST_DECAY` per cycle. By Newton's
-    method from a grid of beginnings, with nodes of `coarse`, then those of `loop`."""
+    """Find the root of the characteristic equation with the largest real part,
+    imaginary part >= 0, by Newton's method from a grid of guesses, with the nodes of
+    `coarse`, then those of `loop`; None if all decay faster than `_FASTEST_DECAY` per
+    cycle."""
     mean = float(loop.share @ loop.xi)
     stiff = float(loop.share @ loop.kappa)
     left = -_FASTEST_DECAY / loop.cycle

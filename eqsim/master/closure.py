@@ -49,24 +49,25 @@ from eqsim.numerics.quadrature import extrapolated, gauss_legendre, largest_near
 from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
 
-# Fewest and most cells of the coarser grid.
+# Fewest cells of the coarser grid.
 FEWEST_CELLS = 500
+# Most cells of the coarser grid.
 MOST_CELLS = 2000
 # A cell in units of the shortest mean life.
 _CELL_PER_LIFE = 0.015
 # A cell in units of the displacement in which contacts age.
 _CELL_PER_AGING = 0.1
-# Longest mean lives after which a fresh start is forgotten.
+# Multiple of the longest mean life after which a fresh start is forgotten.
 _LIVES_TO_REST = 30.0
-# Numbers of laws that are tried, until interpolation between them misses less than
-# `_INTERPOLATION`.
+# Numbers of laws that are tried in turn.
 _LAWS = (1, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300)
+# Error of interpolation between laws at which their number suffices.
 _INTERPOLATION = 1e-11
 # Relative error of the pooled rate and its spline.
 _RATE_ERROR = 1e-7
 # Weight of an age that no longer matters.
 _NEGLIGIBLE_WEIGHT = 1e-20
-# J below which a sum of shares of both signs is all rounding.
+# J below which a sum of weights of both signs is all rounding.
 _LEAST_J = 1e-13
 
 
@@ -178,7 +179,7 @@ def closure(ensemble: Ensemble, drive: Drive, points: int = 2001) -> Closure:
     X, edges = np.linspace(0.0, reach, points), np.linspace(0.0, end, cells + 1)
     values = CubicSpline(edges, best, axis=1)(np.minimum(X, end))
     errors = np.array([np.interp(X, edges, error) for error in missed])
-    # what has settled stays as it is
+    # values held beyond `end` may miss as much as they change in the last tenth before
     errors += np.ptp(best[:, -cells // 10 :], axis=1, keepdims=True) * (end < X)
     units = np.array([[unit], [1.0 / unit], [unit]])
     return Closure(X * unit, *(units * values), *(units * errors))
@@ -193,8 +194,8 @@ class _Tables(NamedTuple):
 
 
 class AgedLaws:
-    """The laws that stand for all ages up to `reach`: Gamma(n, x_star[k]), and how ages
-    share in them."""
+    """Gamma laws of some scales, which represent thresholds of all ages up to `reach`,
+    and the weights of ages in them."""
 
     def __init__(self, n: float, aging: Flow, reach: float, barrier: Barrier) -> None:
         self.aging, self.barrier = aging, barrier
@@ -243,7 +244,7 @@ class AgedLaws:
         return float(np.abs(interpolated - densities(between)).max())
 
     def lives(self) -> tuple[float, float]:
-        """Mean lives of the shortest and the longest-lived law: scales only, to 1 %."""
+        """Mean lives of the shortest-lived and the longest-lived law, to 1 %."""
         x = np.append(0.0, np.geomspace(1e-12 * self.top, self.top, 2000))
         J, _, h = self.tables(x).laws
         hazard = integrate.cumulative_trapezoid(h, x, axis=0, initial=0.0)
@@ -303,11 +304,10 @@ def march_closure(pool: AgedLaws, h: float, cells: int) -> Array:
     """Force, breaks per unit displacement and mean threshold, shape (3, cells + 1), on
     a uniform grid of stretches, displacements and ages, of second order in the cell h.
 
-    ln E[j] is the survival to x_j of a contact born at X_i - x_j, so that E[i] is that
-    of the fresh ones. Births are spread evenly over each cell; E is taken as
-    exponential within a cell, which is exact however short lives are, if it is the
-    young that break. Births of the last cell follow from the count of contacts, which
-    is conserved.
+    E[j] is the survival to x_j of a contact born at X_i - x_j, so that E[i] is that of
+    the fresh contacts. Births are spread evenly over each cell. Within a cell E is
+    taken as exponential, which is exact for lives of any length if only young contacts
+    break. Births of the last cell follow from the conserved number of contacts.
     """
     x = h * np.arange(min(cells, math.ceil(pool.top / h)) + 1)
     table, edges = pool.tables(x), h * np.arange(cells + 1)
@@ -328,7 +328,7 @@ def march_closure(pool: AgedLaws, h: float, cells: int) -> Array:
         share += unbroken * fresh[i]
         old, new = table.laws[:, : top + 1] @ share, young[:, : top + 1]
         least, earlier = table.least[: top + 1], births[i - top : i - 1][::-1]
-        # the pool at the end of the cell needs its breaks
+        # the pool at the end of the cell depends on the breaks in it: iterate
         for _ in range(2 if i > 1 else 4):
             stay = math.exp(-broken)
             now = pool.breaking(stay * old + (1.0 - stay) * new, least)

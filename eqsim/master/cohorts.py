@@ -1,12 +1,12 @@
-"""Contacts born at one time after another along a drive in segments: the kernels of
-`master.programme` and `master.slider`.
+"""Cohorts of contacts along a programme: the kernels of `master.programme` and
+`master.slider`.
 
 A cohort is the births of a step, spread evenly over it in time and displacement, or
-several of these joined. `PooledContacts`, which heat does not break, or all at the same
-rate (annealed), stand here: what a cohort has undergone is the greatest |x|/g so far,
-of which the law of thresholds says how many it has broken mechanically, and a thermal
-survival. `master.fronts` has the others. What is the same of both is here: starts,
-births, which cohorts are joined, and sums.
+several of these joined. This module follows `PooledContacts`, which heat does not
+break, or breaks all at the same rate (annealed): the law of thresholds and the greatest
+|x|/g so far, g the growth of thresholds, give the share of a cohort that has broken
+mechanically, beside a thermal survival. `master.fronts` follows the others. Starts,
+births, the joining of cohorts and sums are the same for both, and here.
 """
 
 import math
@@ -22,13 +22,13 @@ from eqsim.numerics.vector_math import exp, exp_less_one
 
 # Cohorts with a smaller pinned share are dropped.
 NEGLIGIBLE_SHARE = 1e-15
-# Share of the whole time between births of about the same age.
+# Share of the whole time within which births count as simultaneous.
 _SAME_TIME = 1e-11
 
 
 class LawTables(NamedTuple):
-    """At thresholds y, shape (knots,): E[(k_i/k)^p; xi > y] and its integral from 0, p
-    = 0, 1, 2, shape (3, knots); and ln of the rate that all contacts share at stretch
+    """Tables at y, shape (knots,): E[(k_i/k)^p; xi > y] and its integral from 0, for
+    p = 0, 1, 2, shape (3, knots); and ln of the thermal rate of all contacts at stretch
     y."""
 
     y: Array
@@ -38,8 +38,8 @@ class LawTables(NamedTuple):
 
 
 class Growth(NamedTuple):
-    """How thresholds grow with age: the law of aging, whether they do, and whether the
-    stiffness follows them."""
+    """Growth of thresholds with age: the law of aging, whether they grow at all, and
+    whether the stiffness follows them."""
 
     law: Any
     ages: bool
@@ -47,8 +47,8 @@ class Growth(NamedTuple):
 
 
 class PooledContacts(NamedTuple):
-    """Contacts for kernels that all have the same hazard: thresholds, their growth,
-    delays, and no `nodes`, which are thresholds that have hazards of their own."""
+    """Contacts for kernels that all have the same hazard. `nodes`, thresholds whose
+    hazards are followed one by one, is empty."""
 
     tables: LawTables
     growth: Growth
@@ -56,24 +56,23 @@ class PooledContacts(NamedTuple):
     nodes: Array
 
 
-# What becomes of a cohort at the end of a step: it goes on, is dropped, or is joined to
-# the one before.
+# Fates of a cohort at the end of a step; one that is joined becomes part of the cohort
+# before.
 KEPT = 0
 DROPPED = 1
 JOINED = 2
 
-# What is decided in a step: when it ends, where in `Choices.fates` those of its cohorts
-# begin, in how many trials the force was balanced, whether the slider moved in no time,
-# and how often the longest displacement was halved then.
+# Decisions of a step: when it ends, where in `Choices.fates` those of its cohorts
+# begin, in how many trials the force was balanced, how often the largest displacement
+# was halved if the slider moved in no time, and whether it did.
 DECISION = np.dtype("f8, i8, i8, i8, ?", align=True)
 DECISION.names = ("t", "first", "trials", "halvings", "instant")
 
 
 class Choices(NamedTuple):
-    """Decisions of a solve, so that another one may repeat them, which makes it a
-    smooth function of parameters: of each step, an array (edges + 1,) of DECISION; what
-    becomes of cohorts; and whether to repeat them. Otherwise they are noted, if there
-    is room."""
+    """Decisions of a solve: of each step, an array (edges + 1,) of DECISION, and the
+    fates of cohorts. If `given`, a solve repeats them, which makes it a smooth function
+    of parameters; else it notes them, as far as there is room."""
 
     steps: Array
     fates: Array
@@ -89,10 +88,10 @@ NO_CHOICES = unmade_choices(0, 0)
 
 
 class CohortPath(NamedTuple):
-    """Times and displacements of the edges of steps, arrays (edges,); how wide in X,
-    and in time per age, cohorts may become; how many were born before, at a `velocity`,
-    or none of a fresh start; what is decided on the way; and a flag (1,) that ends the
-    march early once it is set."""
+    """Times and displacements of the edges of steps, arrays (edges,); the largest width
+    of a cohort in X, and the largest share of its age that it may span in time; the
+    most cohorts of a stationary start, after a `velocity`, 0 for a fresh start;
+    decisions; and a flag (1,) that ends the march early once it is set."""
 
     t: Array
     X: Array
@@ -105,8 +104,8 @@ class CohortPath(NamedTuple):
 
 
 class History(NamedTuple):
-    """Means over all contacts: elastic force, pinned share, mean square of the elastic
-    force, and breaks so far, per contact, at the edges of steps, arrays (edges,)."""
+    """Means over all contacts at the edges of steps, arrays (edges,): elastic force,
+    pinned share, square of the elastic force, and breaks so far, per contact."""
 
     force: Array
     pinned: Array
@@ -124,12 +123,11 @@ class PathStep(NamedTuple):
 
 
 # A row of an array of COHORT, whose fields are attributes in kernels. `first`, `last`
-# and `mean` are those of its first birth, of its last one, and of the mean over its
-# contacts. `weakest` is the greatest |x|/g so far, below which no threshold at birth is
-# left. `births` are those of the cohort, less what heat has broken of pooled contacts,
-# whatever their threshold. `pinned` is the share of all contacts that is pinned and of
-# this cohort, and `stiffness` and `stiffness2` are E[k_i/k; pinned] and E[(k_i/k)^2;
-# pinned].
+# and `mean`: of the first birth, the last birth, and the mean over its contacts.
+# `weakest`: the greatest |x|/g so far; all thresholds at birth below it have broken.
+# `births`: births of the cohort; if pooled, less the share that heat has broken.
+# `pinned`: share of all contacts that are in the cohort and pinned; `stiffness` and
+# `stiffness2`: E[k_i/k; pinned] and E[(k_i/k)^2; pinned] of these.
 Cohort = Any
 _FIELDS = """X_first X_last X_mean t_first t_last t_mean weakest_first weakest_last
     births pinned stiffness stiffness2"""
@@ -137,9 +135,9 @@ COHORT = np.dtype([(field, np.float64) for field in _FIELDS.split()], align=True
 
 
 class Scratch(NamedTuple):
-    """For each node, arrays (nodes,): ln z at the older and the newer edge of a cohort;
-    and of births, the share that is left, its age and square age, and z of a part of
-    them before."""
+    """Work arrays (nodes,): ln z at the older and the newer edge of a cohort; and for
+    the births of a step, E[1], E[u] and E[u^2] of survivors, u the age over the step,
+    and z before a substep."""
 
     older: Array
     newer: Array
@@ -150,9 +148,9 @@ class Scratch(NamedTuple):
 
 
 class Cohorts(NamedTuple):
-    """All cohorts, an array (rows,) of COHORT; the integrated hazard z of nodes at
-    their first births, shape (rows, nodes); and the rows in use, from the oldest cohort
-    on, and then the others."""
+    """All cohorts, an array (rows,) of COHORT; the integrated hazard z of each node for
+    their first births, shape (rows, nodes); and `order`, the rows in use from the
+    oldest cohort on, then the free ones."""
 
     rows: Array
     z: Array
@@ -162,7 +160,7 @@ class Cohorts(NamedTuple):
 
 @routine
 def empty(nodes: int, rows: int) -> Cohorts:
-    """No cohorts, with room for so many."""
+    """Room for `rows` cohorts."""
     order, lines = np.zeros(rows, np.int64), np.zeros((6, nodes))
     for i in range(rows):
         order[i] = i
@@ -172,7 +170,7 @@ def empty(nodes: int, rows: int) -> Cohorts:
 
 @routine
 def with_room(cohorts: Cohorts, rows: int) -> Cohorts:
-    """A copy that has so many rows."""
+    """A copy with room for `rows` cohorts."""
     larger = empty(cohorts.z.shape[1], rows)
     for i in range(cohorts.order.size):
         larger.order[i] = cohorts.order[i]
@@ -210,7 +208,7 @@ def _mean_above(tables: LawTables, power: int, low: float, high: float) -> float
 
 @routine(inline=True)
 def mean_exponential(low: float, high: float) -> float:
-    """Mean of e^-E while E goes evenly between two values."""
+    """Mean of e^-E, E spread evenly between two values."""
     d = max(abs(high - low), 1e-200)
     return exp(-min(low, high)) * exp_less_one(-min(d, 700.0)) / -d
 
@@ -232,7 +230,7 @@ def _hazard_in_step(tables: LawTables, dt: float, x0: float, x1: float) -> float
 
 @routine
 def _find_pinned(contacts: PooledContacts, cohort: Cohort, age: float) -> None:
-    """Find what of a cohort is pinned."""
+    """Find the pinned share and the stiffness of a cohort."""
     g = growth(contacts.growth.law, age) if contacts.growth.stiffens else 1.0
     low = min(cohort.weakest_first, cohort.weakest_last)
     high = max(cohort.weakest_first, cohort.weakest_last)
@@ -253,7 +251,7 @@ class Ages(NamedTuple):
 
 @routine(inline=True)
 def ages_of_survivors(hazard: float) -> Ages:
-    """Ages of those left where the integrated hazard grows evenly with age up to
+    """Ages of survivors if the integrated hazard grows evenly with age up to
     `hazard`."""
     age, age2 = 0.5 - hazard / 12.0, 1.0 / 3.0 - hazard / 12.0
     if hazard > 0.02:
@@ -263,33 +261,34 @@ def ages_of_survivors(hazard: float) -> Ages:
     return Ages(mean_exponential(0.0, hazard), age, age2)
 
 
-# What the kinds of contacts, the first argument, do differently: here pooled ones.
+# Functions with one version per kind of contacts, the first argument; here of pooled
+# ones.
 
 
 @by_law(makes_arrays=True)
 def bear(contacts: Any, cohorts: Cohorts, row: int, step: PathStep) -> None:
-    """Treat the births of a step, of one contact in all, as one birth at its end;
-    `_born` has begun the cohort."""
+    """Find what is pinned at the end of a step of one birth spread over it; `_born` has
+    begun the cohort."""
     cohort, dt = cohorts.rows[row], step.t1 - step.t0
     hazard = _hazard_in_step(contacts.tables, dt, 0.0, abs(step.X1 - step.X0))
     left = ages_of_survivors(min(hazard, 700.0))
     cohort.births = left.share
     _find_pinned(contacts, cohort, 0.5 * dt)
-    # as if all were at the middle, and spread evenly
+    # `observe` takes them at the middle and spread evenly; survivors are younger
     cohort.stiffness *= 2.0 * left.age
     cohort.stiffness2 *= 3.0 * left.age2
 
 
 @by_law(makes_arrays=True)
 def carry(contacts: Any, cohorts: Cohorts, row: int, step: PathStep) -> None:
-    """Find what of a cohort is pinned after a step; those born later come before."""
+    """Find what of a cohort is pinned after a step; younger cohorts come before it."""
     cohort, dt = cohorts.rows[row], step.t1 - step.t0
     before, after = abs(step.X0 - cohort.X_mean), abs(step.X1 - cohort.X_mean)
     cohort.births *= exp(-_hazard_in_step(contacts.tables, dt, before, after))
     _find_pinned(contacts, cohort, step.t1 - cohort.t_mean)
 
 
-# the bookkeeping of both kinds
+# Bookkeeping of both kinds.
 
 
 @routine(inline=True)
@@ -300,7 +299,7 @@ def _strain(contacts: Any, step: PathStep, X: float, t: float) -> float:
 
 @routine
 def _born(contacts: Any, cohorts: Cohorts, row: int, step: PathStep) -> Cohort:
-    """Begin a cohort with the births of a step, of one contact in all."""
+    """Begin a cohort with one birth, spread evenly over a step."""
     cohort = cohorts.rows[row]
     cohort.X_first = step.X0
     cohort.X_last = step.X1
@@ -317,7 +316,7 @@ def _born(contacts: Any, cohorts: Cohorts, row: int, step: PathStep) -> Cohort:
 
 @routine
 def _carry_over(contacts: Any, cohorts: Cohorts, row: int, step: PathStep) -> Cohort:
-    """Carry a cohort over a step, after all that were born later."""
+    """Carry a cohort over a step, after all younger ones."""
     cohort = cohorts.rows[row]
     first = _strain(contacts, step, cohort.X_first, cohort.t_first)
     last = _strain(contacts, step, cohort.X_last, cohort.t_last)
@@ -329,7 +328,7 @@ def _carry_over(contacts: Any, cohorts: Cohorts, row: int, step: PathStep) -> Co
 
 @routine(inline=True)
 def _scale(cohort: Cohort, births: float) -> None:
-    """Make a cohort of one contact one of `births`."""
+    """Turn a cohort of one birth into one of `births`."""
     cohort.births *= births
     cohort.pinned *= births
     cohort.stiffness *= births
@@ -338,9 +337,9 @@ def _scale(cohort: Cohort, births: float) -> None:
 
 @routine
 def begin(contacts: Any, path: CohortPath, cohorts: Cohorts) -> tuple[int, float]:
-    """Fill in what there is at first: contacts all born now, or a steady state, that is
-    one life in steps, each of which is there at the same time; returns how many
-    cohorts, and births per unit time before."""
+    """Fill in the first cohorts: all contacts born now, or a steady state, in which all
+    stages of the life of one cohort exist at once; returns their number, and the births
+    per unit time before."""
     if path.cohorts == 0:
         _born(contacts, cohorts, 0, PathStep(0.0, 0.0, 0.0, 0.0))
         return 1, 0.0
@@ -374,7 +373,7 @@ def begin(contacts: Any, path: CohortPath, cohorts: Cohorts) -> tuple[int, float
 def _broken_by(
     path: CohortPath, breaks: Array, last: int, t: float, rate: float
 ) -> float:
-    """Breaks up to a time, not after edge `last`; `rate` is that before time 0."""
+    """Breaks up to time t, no later than edge `last`; `rate` is that before time 0."""
     if t <= 0.0:
         return rate * t
     i = min(search(path.t, t, True), last) - 1
@@ -392,11 +391,11 @@ def _births_in(
     pinned: float,
     newborn: float,
 ) -> float:
-    """Note the breaks of step m and return its births: `pinned` is left of those that
-    were pinned before, and the share `newborn` of the births."""
+    """Note the breaks of step m and return its births. At its end, `pinned` of the
+    contacts pinned before are still so, and the share `newborn` of the births is."""
     tau, t0, t1, breaks = delay.mean, path.t[m - 1], path.t[m], history.breaks
-    # births of contacts detached already, and the time in which those that break in the
-    # step are born, times the breaks per unit time
+    # births are those `due` of contacts detached before, and `later` times the breaks
+    # per unit time, of contacts that break in the step
     dt, due, later = t1 - t0, 0.0, t1 - t0
     if delay.random > 0.0:
         ending = math.expm1(-dt / tau)
@@ -413,8 +412,8 @@ def _births_in(
 
 @routine(inline=True)
 def _weight(contacts: Any, cohort: Cohort) -> float:
-    """What the means of a cohort are over: those pinned, or births where it is one of
-    the neighbours that share edges, as then none may be left in their midst."""
+    """Weight of a cohort in joint means: its pinned share, or its births if neighbours
+    share edges, as a cohort in their midst stays when nothing of it is pinned."""
     return cohort.births if contacts.nodes.size else cohort.pinned
 
 
@@ -422,9 +421,9 @@ def _weight(contacts: Any, cohort: Cohort) -> float:
 def _alike(
     contacts: Any, path: CohortPath, older: Cohort, newer: Cohort, now: float
 ) -> bool:
-    """Whether two cohorts may be joined: of the same direction and about as dense in X,
-    and together not too wide in X, as thresholds have grown, in |x|/g and in time per
-    age."""
+    """True if two cohorts may be joined: born in the same direction and about as dense
+    in X, and together not too wide in X over the growth of thresholds, in |x|/g and in
+    time over age."""
     age = now - newer.t_last
     if newer.t_last - older.t_first > path.share * age + _SAME_TIME:
         return False
@@ -442,7 +441,7 @@ def _alike(
 
 @routine
 def _join(contacts: Any, older: Cohort, newer: Cohort) -> None:
-    """Join a cohort to the one before."""
+    """Join a cohort to the older one before it."""
     first, second = _weight(contacts, older), _weight(contacts, newer)
     share = second / (first + second) if first + second > 0.0 else 0.5
     older.X_mean += share * (newer.X_mean - older.X_mean)
@@ -466,9 +465,8 @@ def advance_all(
     count: int,
     rate: float,
 ) -> int:
-    """Carry all cohorts, `count` of them, over step m, and add its births, where `rate`
-    is births per unit time before the path began; returns how many cohorts there are
-    now."""
+    """Carry all `count` cohorts over step m, and add its births; returns the number of
+    cohorts then. `rate` is the births per unit time before the path began."""
     step, pinned = PathStep(path.t[m - 1], path.X[m - 1], path.t[m], path.X[m]), 0.0
     rows, order, choices = cohorts.rows, cohorts.order, path.choices
     new = _born(contacts, cohorts, order[count], step)
@@ -477,7 +475,7 @@ def advance_all(
     _scale(new, _births_in(contacts.delay, path, history, m, rate, pinned, new.pinned))
     noted = not choices.given and m + 1 < choices.steps.size
     kept, first = 0, choices.steps[m].first if choices.given or noted else 0
-    # drop cohorts that are gone, and join those that hardly differ
+    # drop cohorts of which nothing is pinned, and join those that hardly differ
     for i in range(count + 1):
         j, fate = order[i], KEPT
         cohort, before = rows[j], rows[order[max(kept - 1, 0)]]

@@ -1,16 +1,15 @@
-"""Quenched contacts that heat breaks, along a drive in segments: a kernel of
-`master.programme`.
+"""Quenched contacts that heat breaks, along a programme: kernels that replace those of
+`master.cohorts` for pooled contacts.
 
-Births are followed from the edges of steps on, and thresholds from nodes: of a contact
-born at an edge with the threshold of a node the integrated hazard z is known. Between
-two edges and two nodes, in a cell of births and a stratum of thresholds, births are
-spread evenly and ln z is a plane, so that what heat has left is a second difference of
+The integrated hazard z is followed for contacts that are born at the edges of steps
+with the thresholds of nodes. Between two edges and two nodes, in a cell of births and a
+stratum of thresholds, births are spread evenly and ln z is taken for a plane. The share
+that heat has broken there is a second difference over the corners (derived) of
 
-    W(y) = int_{-oo}^y du int_{-oo}^u (1 - exp(-e^w)) dw = sum_n (-1)^(n+1) e^(n y)/(n^2
-    n!)
+    W(y) = int_{-oo}^y du int_{-oo}^u (1 - exp(-e^w)) dw
+         = sum_n (-1)^(n+1) e^(n y)/(n^2 n!).
 
-over the corners (derived). Breaking may thus be as sharp as it likes, and neither cells
-nor strata need be narrow.
+For a plane it is exact, however steep, so that neither cells nor strata need be narrow.
 """
 
 import functools
@@ -43,32 +42,33 @@ from eqsim.numerics.vector_math import exp
 # ln z below which heat has broken next to nothing of a cell and a stratum: exp(-36) =
 # 2e-16.
 _NONE_BROKEN = -36.0
-# ln z above which it has left next to nothing: exp(-exp(3.6)) = 1e-16.
+# ln z above which heat has left next to nothing: exp(-exp(3.6)) = 1e-16.
 _ALL_BROKEN = 3.6
-# z up to which it is followed.
+# z beyond which it is no longer followed.
 _LARGEST_Z = 1e12
-# -ln of what z grows by in a step that counts as nothing.
+# -ln of a growth of z in a step that is neglected.
 _NEGLIGIBLE_GROWTH = 640.0
-# The table of W: ln z where it begins, which is 0 there, and where it ends, and knots
-# per unit of ln z.
+# ln z where the table of W begins; W is 0 there.
 W_BEGINS = -40.0
+# ln z where it ends.
 _W_ENDS = 6.0
+# Knots per unit of ln z.
 W_PER_UNIT = 64
-# Differences of ln z that are taken for larger ones, which misses 1e-5 of what is about
-# to break.
+# Least difference of ln z over a cell or stratum; smaller ones are taken for it, which
+# misses 1e-5 of what is about to break.
 _LEAST_DIFFERENCE = 0.03
-# By how much E may be off the straight line of a step; halves of the step come in from
-# half of that on.
+# Deviation of the barrier from a straight line over a step, beyond which the step is
+# taken in halves; from half of it on both values are blended.
 _STRAIGHTNESS = 0.01
-# Parts of the births of a step where thresholds grow.
-_PARTS_OF_BIRTHS = 12
+# Substeps of the births of a step where thresholds grow.
+_SUBSTEPS_OF_BIRTHS = 12
 
 
 class Strata(NamedTuple):
-    """Classes of contacts by threshold at birth, ascending, of a smooth law between
-    neighbouring nodes, of a discrete law at one node: the edges, arrays (strata,); and
-    the shares of births, and these times E[k_i/k] and E[(k_i/k)^2], of each and of it
-    and all above, shape (3, strata)."""
+    """Classes of contacts by threshold at birth, ascending: of a smooth law between
+    neighbouring nodes, of a discrete law at one node. Edges, arrays (strata,); and the
+    share of births, E[k_i/k] and E[(k_i/k)^2] of each, and of it and all above, shape
+    (3, strata)."""
 
     left: Array
     right: Array
@@ -89,7 +89,7 @@ class Fronts(NamedTuple):
     table: Array
 
 
-# It has no parameters, and takes 1.3 ms: a third of a short solve.
+# Cached, as it has no parameters, and takes 1.3 ms, a third of a short solve.
 @functools.cache
 def table_of_w() -> Array:
     """W and its slope at y = W_BEGINS, ..., _W_ENDS, shape (knots, 2)."""
@@ -122,8 +122,8 @@ def _w(table: Array, y: float) -> float:
 
 @routine
 def _broken(table: Array, middle: float, by_threshold: float, by_birth: float) -> float:
-    """Mean of 1 - exp(-z) over a cell and a stratum with ln z = `middle` in the middle,
-    and its differences."""
+    """Mean of 1 - exp(-z) over a cell and a stratum: ln z = `middle` in the middle, and
+    differs by `by_threshold` across the stratum, by `by_birth` across the cell."""
     p = max(abs(by_threshold), _LEAST_DIFFERENCE)
     q = max(abs(by_birth), _LEAST_DIFFERENCE)
     outer, inner = 0.5 * (p + q), 0.5 * (p - q)
@@ -134,8 +134,8 @@ def _broken(table: Array, middle: float, by_threshold: float, by_birth: float) -
 
 @routine
 def _add_hazard(contacts: Fronts, cohort: Cohort, z: Array, step: PathStep) -> None:
-    """Add to z of all nodes what it grows by in a step, of contacts born at the older
-    edge of a cohort."""
+    """Add to z of all nodes its growth in a step, for contacts born at the older edge
+    of a cohort."""
     dt = step.t1 - step.t0
     x0, x1 = step.X0 - cohort.X_first, step.X1 - cohort.X_first
     g0 = growth(contacts.growth.law, step.t0 - cohort.t_first)
@@ -198,7 +198,8 @@ def _unbroken(left: float, right: float, low: float, high: float) -> float:
 def _find_pinned_by_strata(
     contacts: Fronts, cohort: Cohort, older: Array, newer: Array, g: float
 ) -> None:
-    """Find what of a cohort is pinned, with ln z at its older and newer edge."""
+    """Find the pinned share and the stiffness of a cohort, with ln z at its older and
+    newer edge; `g` is the growth of thresholds."""
     strata, pinned, stiffness, stiffness2 = contacts.strata, 0.0, 0.0, 0.0
     apart = contacts.nodes.size - strata.left.size
     low = min(cohort.weakest_first, cohort.weakest_last)
@@ -211,21 +212,21 @@ def _find_pinned_by_strata(
         # stronger contacts are safer
         if min(strong0, strong1) > _ALL_BROKEN:
             continue
-        left = 1.0
+        intact = 1.0
         if max(weak0, weak1) > _NONE_BROKEN:
             middle = 0.25 * (weak0 + strong0 + weak1 + strong1)
             by_threshold = 0.5 * (strong0 + strong1 - weak0 - weak1)
             by_birth = 0.5 * (weak1 + strong1 - weak0 - strong0)
-            left = 1.0 - _broken(contacts.table, middle, by_threshold, by_birth)
+            intact = 1.0 - _broken(contacts.table, middle, by_threshold, by_birth)
         elif strata.left[k] >= high:  # none of the stronger either
             pinned += strata.above[0, k]
             stiffness += strata.above[1, k]
             stiffness2 += strata.above[2, k]
             break
-        left *= _unbroken(strata.left[k], strata.right[k], low, high)
-        pinned += left * strata.share[0, k]
-        stiffness += left * strata.share[1, k]
-        stiffness2 += left * strata.share[2, k]
+        intact *= _unbroken(strata.left[k], strata.right[k], low, high)
+        pinned += intact * strata.share[0, k]
+        stiffness += intact * strata.share[1, k]
+        stiffness2 += intact * strata.share[2, k]
     if contacts.growth.stiffens:
         stiffness, stiffness2 = stiffness * g, stiffness2 * g * g
     cohort.pinned = cohort.births * pinned
@@ -235,23 +236,23 @@ def _find_pinned_by_strata(
 
 @bear.register(Fronts)
 def _bear(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
-    """Find z of those born at the beginning of the step, which grows evenly in each of
-    a number of parts by age, and what is pinned. Where thresholds grow, a part is twice
-    as long as that before."""
+    """Find what is pinned at the end of a step of one birth spread over it, and z of
+    contacts born at its beginning. z grows evenly with age within a substep; where
+    thresholds grow, each substep is twice as long as the one before."""
     cohort, z, scratch = cohorts.rows[row], cohorts.z[row], cohorts.scratch
-    parts = _PARTS_OF_BIRTHS if contacts.growth.ages else 1
-    # E[1], E[u], E[u^2] of those left, u the age over the step
+    substeps = _SUBSTEPS_OF_BIRTHS if contacts.growth.ages else 1
+    # E[1], E[u], E[u^2] of survivors, u the age over the step
     share, age, age2 = scratch.share, scratch.age, scratch.age2
     for k in range(z.size):
         z[k], share[k], age[k], age2[k] = 0.0, 0.0, 0.0, 0.0
     u, dt, dX = 0.0, step.t1 - step.t0, step.X1 - step.X0
-    for i in range(parts):
-        after = 0.5 ** (parts - 1 - i)
+    for i in range(substeps):
+        after = 0.5 ** (substeps - 1 - i)
         width = after - u
         copy(z, scratch.before)
         t, X = step.t0 + u * dt, step.X0 + u * dX
-        piece = PathStep(t, X, step.t0 + after * dt, step.X0 + after * dX)
-        _add_hazard(contacts, cohort, z, piece)
+        substep = PathStep(t, X, step.t0 + after * dt, step.X0 + after * dX)
+        _add_hazard(contacts, cohort, z, substep)
         for k in range(z.size):
             before = scratch.before[k]
             if before > 700.0:
@@ -271,7 +272,7 @@ def _bear(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
         j = k + contacts.nodes.size - strata.left.size
         unbroken = 0.5 * _unbroken(strata.left[k], strata.right[k], 0.0, weakest)
         cohort.pinned += unbroken * strata.share[0, k] * (share[k] + share[j])
-        # as if all were at the middle, and spread evenly
+        # `observe` takes them at the middle and spread evenly; survivors are younger
         first, second = 2.0 * g * (age[k] + age[j]), 3.0 * g * g * (age2[k] + age2[j])
         cohort.stiffness += unbroken * strata.share[1, k] * first
         cohort.stiffness2 += unbroken * strata.share[2, k] * second

@@ -1,11 +1,10 @@
-"""The answer of steady sliding to a small kick of the spring, in mean field (derived).
+"""Response of steady sliding to a small kick of the spring, in mean field (derived).
 
 The slider starts in the stationary state, its spring stretched by a kick more than what
 balances friction, and again by as much less. Half the difference of the two
-displacements is free of what is even in the kick: of second-order terms, and of what
-the solver misses of the balance. It is a sum of damped oscillations about the displaced
-balance, whose rates a matrix pencil finds: shifted by one sample, they span the same
-space.
+displacements is free of terms that are even in the kick: those of second order, and the
+error of the balance. It is a sum of damped oscillations about the displaced balance,
+whose rates a matrix pencil finds: shifted by one sample, they span the same space.
 """
 
 import math
@@ -28,30 +27,33 @@ METHOD = "mean field"
 
 # The kick, in mean thresholds.
 _KICK = 4e-3
-# Displacement beyond which an answer is not small, in mean thresholds.
+# Displacement beyond which a response is not small, in mean thresholds.
 _NOT_SMALL = 3e-2
 # Noise of the solver, in mean thresholds.
 _SOLVER_NOISE = 1e-5
-# Other kicks that are tried, until the answer is small and seen for `_SEEN_CYCLES`.
+# Most other kicks that are tried.
 _OTHER_KICKS = 2
+# Cycles over which a response has to be small and above the noise.
 _SEEN_CYCLES = 3.0
-# Cycles after a kick that are looked at, and instants in them.
+# Cycles after a kick that are solved for.
 _CYCLES_AFTER = 8.0
+# Instants in these cycles.
 _INSTANTS = 401
-# Share of the kick below which there is nothing to follow after a cycle.
+# Share of the kick below which a response after a cycle has no rate.
 _GONE = 0.02
-# Where windows begin, in cycles.
+# Beginnings of windows, in cycles.
 _STARTS = (1.0, 0.5, 0.25)
-# How far a border is looked for, in octaves of the stiffness, and how closely.
+# Most octaves of the stiffness over which a border is sought.
 _MOST_OCTAVES = 6
+# Accuracy of a border in octaves.
 _CLOSENESS = 2e-3
 
 # Called with (done, total).
 Told = Callable[[int, float], None]
 
 
-class _Answer(NamedTuple):
-    """The part of X - V t - kick that is odd in the kick, at intervals dt, and that by
+class _Response(NamedTuple):
+    """Part of X - V t - kick that is odd in the kick, at intervals dt, and the same by
     longer steps of the solver."""
 
     u: Array
@@ -59,15 +61,15 @@ class _Answer(NamedTuple):
     dt: float
 
     def end(self, typical: float) -> int:
-        """Up to where the answer is small, and is seen."""
+        """Last sample at which the response is small, and above the noise."""
         size = np.abs(self.u) / typical
         small = size[: int(np.argmax(np.append(size, math.inf) > _NOT_SMALL)) + 1]
         seen = np.flatnonzero(small > _SOLVER_NOISE).max(initial=0)
         return max(int(seen), min(24, size.size - 1))
 
     def rate(self, first: int, last: int, order: int) -> complex:
-        """The rate p of the strongest of `order` exponentials exp(p t) between two
-        samples, Im p >= 0."""
+        """Rate p, Im p >= 0, of the strongest of `order` exponentials exp(p t) between
+        two samples."""
         u = self.u[first : last + 1]
         rows = np.lib.stride_tricks.sliding_window_view(u, max(order + 1, u.size // 2))
         basis = linalg.svd(rows, full_matrices=False)[2][:order].T
@@ -86,8 +88,8 @@ def mode_of(
     """The slowest oscillation after a kick; not `reliable` if seen for less than half a
     cycle.
 
-    Errors are by how much it differs for a kick twice as large, in another window, with
-    half as many oscillations more, and with steps of the solver twice as long.
+    The error is the largest change by a kick twice as large, by a shorter window, by
+    half as many exponentials more, and by steps of the solver twice as long.
     `progress(done, total)` counts kicks, of which there may be fewer. Raises InputError
     where there is no mean field.
     """
@@ -98,45 +100,45 @@ def mode_of(
     longest = max(cycle, 2.0 * math.pi * math.sqrt(stage.mass / stage.stiffness))
     kick, time = _KICK * typical, _CYCLES_AFTER * longest
     balance = known(exact.friction) + stage.damping * velocity
-    answer = _answer(ensemble, velocity, stage, balance, kick, time)
+    response = _response(ensemble, velocity, stage, balance, kick, time)
     for done in range(1, _OTHER_KICKS + 1):
         progress(done, most)
-        last = answer.end(typical)
-        if last * answer.dt >= _SEEN_CYCLES * longest:
+        last = response.end(typical)
+        if last * response.dt >= _SEEN_CYCLES * longest:
             break
-        grows = float(np.abs(answer.u[last])) > 0.5 * _NOT_SMALL * typical
+        grows = float(np.abs(response.u[last])) > 0.5 * _NOT_SMALL * typical
         kick *= 0.2 if grows else 5.0
         time = min(time, (_SEEN_CYCLES + 1.0) * longest)
-        answer = _answer(ensemble, velocity, stage, balance, kick, time)
-    if float(np.abs(answer.u[round(longest / answer.dt) :]).max()) < _GONE * kick:
+        response = _response(ensemble, velocity, stage, balance, kick, time)
+    if float(np.abs(response.u[round(longest / response.dt) :]).max()) < _GONE * kick:
         return Mode(NO_VALUE, NO_VALUE)
-    last = answer.end(typical)
-    seen = last * answer.dt / longest
+    last = response.end(typical)
+    seen = last * response.dt / longest
     start = next((cycles for cycles in _STARTS if seen >= cycles + 1.0), _STARTS[-1])
-    first = min(round(start * longest / answer.dt), max(last - 16, 0))
-    p = answer.rate(first, last, 4)
+    first = min(round(start * longest / response.dt), max(last - 16, 0))
+    p = response.rate(first, last, 4)
     progress(most - 1, most)
-    twice = _answer(ensemble, velocity, stage, balance, 2.0 * kick, time)
+    twice = _response(ensemble, velocity, stage, balance, 2.0 * kick, time)
     others = [
         twice.rate(first, min(last, twice.end(2.0 * typical)), 4),
-        answer.rate(first, last, 6),
-        answer.rate(first, first + (3 * (last - first)) // 4, 4),
-        answer._replace(u=answer.coarser).rate(first, last, 4),
+        response.rate(first, last, 6),
+        response.rate(first, first + (3 * (last - first)) // 4, 4),
+        response._replace(u=response.coarser).rate(first, last, 4),
     ]
     error = max(abs(other - p) for other in others)
-    sure = (last - first) * answer.dt >= 0.5 * longest and error < abs(p)
+    sure = (last - first) * response.dt >= 0.5 * longest and error < abs(p)
     return mode(p, error, 1e-3 / longest, sure)
 
 
-def _answer(
+def _response(
     ensemble: Ensemble,
     velocity: float,
     stage: Stage,
     balance: float,
     kick: float,
     time: float,
-) -> _Answer:
-    """What follows when the spring carries `balance`, and is stretched by the kick."""
+) -> _Response:
+    """Response to a kick of the spring that carries the force `balance` before."""
     X = []
     for stretch in (kick, -kick):
         pulled = replace(stage, preload=balance / stage.stiffness + stretch)
@@ -145,15 +147,15 @@ def _answer(
         best, coarser, _ = solutions_of(ensemble, programme, programme.grid(_INSTANTS))
         X.append(np.array([best.X, coarser.X]) * ensemble.thresholds.scale)
     u, coarser = 0.5 * (X[0] - X[1]) - kick
-    return _Answer(u, coarser, time / (_INSTANTS - 1))
+    return _Response(u, coarser, time / (_INSTANTS - 1))
 
 
 def border_by_kicks(
     ensemble: Ensemble, velocity: float, stage: Stage, progress: Told = lambda *_: None
 ) -> Estimate:
-    """The stiffness at which a kick neither grows nor decays, by the root of its rate;
-    0 if it decays at 1/64 of the stage's stiffness, too, with that as the error;
-    without a value if it grows up to 64 times it."""
+    """Find the stiffness at which a kick neither grows nor decays. It is 0 if a kick
+    decays even at 1/64 of the stage's stiffness, which is then the error; without a
+    value if it grows even at 64 times that stiffness."""
     errors: dict[float, tuple[float, float]] = {}
 
     def growth(octave: float) -> float:

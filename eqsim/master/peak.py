@@ -1,10 +1,10 @@
 """The static peak: the first maximum of the force after a fresh start, while contacts
 are still in step.
 
-Runs, fits and the exact mean use this definition: of the maxima within four rms
-thresholds that cannot be told from the highest one, the first; within half an rms
-threshold of it the highest point. It is not the largest force of a run, which later
-teeth of contacts in step may exceed by rounding, or by chance.
+Runs, fits and the exact mean use this definition: the first of the maxima within four
+rms thresholds that are as high as the highest one within errors; or the highest point
+within half an rms threshold after it. It is not the largest force of a run, which may
+be a later maximum of contacts in step, by rounding or by chance.
 """
 
 from typing import NamedTuple
@@ -18,18 +18,18 @@ from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
-# The peak is sought over so many rms thresholds.
+# Rms thresholds over which the peak is sought.
 PEAK_WINDOW = 4.0
-# Points of the mean within the window, and up to a peak next to a kink of the law of
-# thresholds.
+# Points of the mean within the window.
 _POINTS_OF_PEAK = 401
+# Points of the mean up to a peak next to a kink of the law of thresholds.
 _POINTS_AT_KINK = 4001
-# Points by which a fall of discrete thresholds is uncertain to its left, in
-# `Transient.force_error`.
+# Points before a fall of the force, where discrete thresholds break, at which
+# `Transient.force_error` contains the height of the fall.
 _BEFORE_FALL = 4
-# Peaks whose relative difference is smaller are alike.
+# Relative difference below which peaks count as equally high.
 _ALIKE = 1e-3
-# Curvature of a flank over that of the peak.
+# Curvature of a flank over that of the peak, below which the flank is straight.
 _STRAIGHT_FLANK = 1e-2
 
 
@@ -42,9 +42,9 @@ class Peak(NamedTuple):
 
 
 def top_of(X: Array, force: Array, error: Array, period: float) -> int:
-    """The index of the first maximum, arrays (points,): of those that are as high
-    within errors, such as all teeth of contacts that stay in step, the highest within
-    half a `period` of the first. The last index if it still rises."""
+    """Index of the static peak in arrays (points,): the highest point within half a
+    `period` after the first that is as high as the maximum within errors, as all maxima
+    of contacts in step may be. The last index if the force still rises there."""
     highest = int(np.argmax(force))
     first = int(np.argmax(force + error >= force[highest] - error[highest]))
     top = int(np.argmax(np.where(X[first] + 0.5 * period >= X, force, -np.inf)))
@@ -54,9 +54,9 @@ def top_of(X: Array, force: Array, error: Array, period: float) -> int:
 
 
 def vertex(X: Array, force: Array, top: int) -> tuple[float, float]:
-    """Place and height of the parabola through three neighbouring points, arrays
-    (points,); the point itself where it is the tip of a straight flank, as of contacts
-    that all break at once."""
+    """Place and height of the vertex of the parabola through point `top` and its
+    neighbours, arrays (points,); the point itself where it is the tip of a straight
+    flank, as of contacts that all break at once."""
     low, middle, high = force[top - 1 : top + 2]
     bends = np.abs(np.diff(force[max(top - 2, 0) : top + 3], 2))
     if bends.min() < _STRAIGHT_FLANK * bends.max():
@@ -68,9 +68,9 @@ def vertex(X: Array, force: Array, top: int) -> tuple[float, float]:
 
 
 def tip(ensemble: Ensemble, X: Array, force: Array, top: int) -> tuple[float, float]:
-    """How far a peak may be from a grid point, and its height from the force there,
-    arrays (points,), where thresholds have steps: the force then has a kink at each,
-    between two points. 0 of other laws, whose peaks are round."""
+    """Distances of a peak in X and in force from a grid point, at most, arrays
+    (points,). With discrete thresholds the force has a kink at each, between two
+    points. 0 for other laws, whose peaks are round."""
     if not ensemble.thresholds.steps.size:
         return 0.0, 0.0
     return float(X[top] - X[top - 1]), float(max(force[top] - force[top - 1], 0.0))
@@ -88,7 +88,7 @@ def first_peak(ensemble: Ensemble, velocity: float) -> Peak:
     if not 0 < top < X.size - 1 or force[top] - force[top:].min() <= alike[top]:
         raise InputError("the force rises without a first peak")
     if not law.steps.size and np.any(np.abs(law.kinks - X[top]) < 2.0 * X[1]):
-        # a force that turns at a kink has no vertex: look closer
+        # a force that turns at a kink has no vertex: use a finer grid
         near = Drive(velocity, float(X[top] + 2.0 * X[1]))
         exact = transient(ensemble, near, _POINTS_AT_KINK)
         X, force, top = exact.X, exact.force, int(np.argmax(exact.force))
@@ -97,8 +97,8 @@ def first_peak(ensemble: Ensemble, velocity: float) -> Peak:
     else:
         place, height = vertex(X, force, top)
         beside, missed = tip(ensemble, X, force, top)
-    # next to a fall the mean is uncertain by all of it; before it the peak is as
-    # certain as `missed` says
+    # next to a fall the error of the mean is all of its height; that of the peak is the
+    # error before the fall, and `missed`
     before = exact.force_error[max(top - _BEFORE_FALL, 0) : top + 1]
     error = float(before.min()) + missed
     beside = max(beside, 0.1 * float(X[1]))

@@ -1,5 +1,5 @@
-"""The exact means of a drive in segments, by the renewal equation in two times
-(derived).
+"""Exact means along a programme, a drive in segments, by the renewal equation in two
+times (derived).
 
 Of the contacts born at time s a share S(t|s) is still pinned at t, with the mean force
 m(t|s) = (X(t) - X(s)) E[k_i/k; pinned]. Births B and breaks Gamma per contact and unit
@@ -9,12 +9,12 @@ time obey
     friction = m_0(t) + int_0^t B(s) m(t|s) ds + (eta v/k)(1 - pinned)
     fixed delay: B(t) = Gamma(t - tau);    exponential delay: B = (1 - pinned)/tau
 
-A contact of threshold xi at birth, grown to xi g(age), breaks mechanically where |x| =
-xi g, so that the law of thresholds says how many have, given the greatest |x|/g so far.
+A threshold xi at birth grows to xi g(age), and the contact breaks mechanically where
+|x| = xi g: the law of thresholds and the greatest |x|/g so far give the share that has.
 It breaks thermally at the rate of `laws.barrier`, integrated over a step as if the
-barrier were linear in time. Births are spread evenly over steps, and thresholds divided
-into strata (`master.fronts`), unless contacts born together share one hazard, as
-without heat and of annealed contacts (`master.cohorts`).
+barrier were linear in time. Births are spread evenly over steps. Thresholds are divided
+into strata (`master.fronts`), unless contacts born together share one hazard, as they
+do without heat and if annealed (`master.cohorts`).
 
 Lengths are in units of the law's scale, and time in units of the whole programme. Three
 grids, each with twice the steps and strata of the one before, give the result,
@@ -74,44 +74,45 @@ STRATA = 96
 TABLE_CELLS = 1000
 # Steps of a march at most, to bound time and memory.
 MOST_STEPS = 200_000
-# Cohorts of a stationary start at most, in steps of the coarsest grid.
+# Most cohorts of a stationary start, in steps of the coarsest grid.
 _MOST_COHORTS = 5000
 # The range of thresholds, in normal deviates on either side.
 _DEVIATES = 8.2
-# By how much strata crowd in the middle, where they are 1.8 times narrower.
+# Argument of sinh at the last stratum: those in the middle are 1.8 times narrower.
 _CROWDING = 2.0
-# Time in which contacts that break or are born at an instant do so, over the longest
-# step.
+# Duration of the births or breaks of an instant, over the longest step.
 _INSTANT_PER_STEP = 1e-7
-# The same over the whole time: more than rounding, and less than what could be seen.
+# The least such duration over the whole time: more than rounding.
 _LEAST_INSTANT = 1e-11
+# The longest over the whole time: less than could be seen.
 _LONGEST_INSTANT = 1e-9
-# Where steps end before and after an infinite rate, over the longest step.
+# Ends of steps before and after an infinite rate, over the longest step.
 _GRADED = 2.0 ** -np.arange(1.0, 11.0)
-# Delays after a change of velocity that steps end at.
+# Multiples of a fixed delay after a change of velocity at which steps end.
 _KINKS = 6
-# Share of a threshold that it has to grow by before it counts.
+# Relative growth of thresholds that the first step resolves.
 _LEAST_GROWTH = 0.02
-# Share by which the velocity changes where steps begin anew.
+# Relative change of velocity after which steps are short again.
 _CHANGED = 0.5
-# The least error in units of the largest in a programme.
+# The least error over the largest along the programme.
 _CARRIED = 0.1
 # Share of contacts that may break, below which their thresholds do not set steps.
 _RARE_BREAKS = 0.01
-# Contacts of which a typical threshold is the mean.
+# Quantiles over which a typical threshold is the mean.
 _TYPICAL_CONTACTS = 64
-# What tables and rounding miss, over the largest value.
+# Error of tables and rounding, over the largest value.
 _TABLE_ERROR = 2e-6
+# p of the means E[(k_i/k)^p; ...], shape (3, 1).
 _STIFFNESS_POWERS = np.arange(3)[:, None]
 
 
 def cells_of_law(
     law: ThresholdLaw, kinks: Array, even: Array, order: int
 ) -> tuple[Array, Array, Array]:
-    """Edges of cells of a law, shape (edges,), Gauss-Legendre nodes in the normal
-    deviate, shape (edges - 1, order), and their shares of births. Edges are the
-    deviates `even` and kinks of the law, both ends of a gap too: the cell between them
-    has no share."""
+    """Edges of cells of a law, shape (edges,), thresholds at Gauss-Legendre nodes in
+    the normal deviate, shape (edges - 1, order), both in units of the law's scale, and
+    the nodes' shares of births. Edges are at the deviates `even` and at kinks of the
+    law, both ends of a gap too: the cell between them has no share."""
 
     def threshold(z: Array) -> Array:
         return np.asarray(law.inverse_survival(normal_exponent(z))) / law.scale
@@ -130,7 +131,7 @@ def cells_of_law(
 
 
 def _cells_of(contacts: Reduced, cells: int) -> tuple[Array, Array, Array]:
-    """Edges of so many cells, shape (edges,), shares of births in them times
+    """Edges of cells of a law, shape (edges,), shares of births in them times
     (k_i/k)^p, shape (3, edges - 1), and those above each edge, shape (3, edges)."""
     law, share = contacts.law, np.linspace(-_CROWDING, _CROWDING, cells + 1)
     even = _DEVIATES / math.sinh(_CROWDING) * np.sinh(share)
@@ -160,7 +161,7 @@ def _strata(contacts: Reduced, strata: int) -> tuple[Array, Strata]:
 
 
 def _tables(contacts: Reduced, cells: int) -> LawTables:
-    """Tables of contacts that heat does not break, or all at the same rate."""
+    """Tables of contacts that heat does not break, or breaks all at the same rate."""
     if contacts.law.steps.size:
         xi, share, stiff = different_steps(contacts)
         between = np.linspace(0.0, xi[-1], cells)
@@ -190,7 +191,7 @@ def _tables(contacts: Reduced, cells: int) -> LawTables:
 
 
 def _totals_from(shares: Array) -> Array:
-    """The sums of each share and all after it, and 0 at the end."""
+    """Sum of each share and all after it, and 0 at the end."""
     padded = np.append(shares, np.zeros((shares.shape[0], 1)), axis=1)
     return padded[:, ::-1].cumsum(axis=1)[:, ::-1]
 
@@ -212,9 +213,9 @@ class Course(NamedTuple):
 def _edges_of_steps(
     course: Course, width: float, quickest: float, tau: float, sharp: list[Sharp]
 ) -> tuple[Array, Array]:
-    """Edges of steps of the coarsest grid, and those between which means are smooth:
-    ends of segments, whole delays after these, and sharp instants. Many contacts that
-    are born or break at one instant do so in a step of next to no time before it."""
+    """Edges of steps of the coarsest grid, and kinks, the edges between which means are
+    smooth: ends of segments, whole delays after these, and sharp instants. Contacts
+    that are born or break at one instant do so in a very short step before it."""
     fastest, instant = np.abs(course.velocity).max(), _LEAST_INSTANT
     if fastest:
         instant = max(_INSTANT_PER_STEP * width / fastest, instant)
@@ -235,7 +236,7 @@ def _edges_of_steps(
         longest = min(width / abs(velocity), 1.0) if velocity else 1.0
         begins = np.append(kinks, atoms)
         graded = np.add.outer(steep, longest * np.append(_GRADED, -_GRADED)).ravel()
-        # these are moved to what is sharp, never the other way
+        # dropped next to sharp instants, which have to be exact
         inexact = np.append(graded, kinks)
         apart = np.abs(inexact[:, None] - smooth).min(axis=1) > _LEAST_INSTANT
         inner = np.sort(np.append(inexact[apart], smooth))
@@ -263,7 +264,8 @@ def _edges_of_steps(
 
 
 def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course]:
-    """Dimensionless contacts, and what happens to them. Raises InputError."""
+    """Dimensionless contacts, and the programme in their units. Raises InputError for
+    contacts that have no reference along one."""
     if ensemble.self_consistent:
         raise InputError(
             "aging: that of annealed contacts is defined at constant velocity only, "
@@ -281,7 +283,7 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
     time = sum(segment.duration for segment in programme.segments)
     velocity = np.array([segment.velocity for segment in programme.segments])
     before = (programme.start == "stationary" and programme.velocity) or 0.0
-    legs(ensemble, programme)  # refuses what is out of range
+    legs(ensemble, programme)  # raises for numbers out of range
     ends = np.cumsum([segment.duration for segment in programme.segments]) / time
     return reduced(ensemble, unit / time), Course(
         ends, velocity * (time / unit), before * (time / unit)
@@ -289,9 +291,9 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
 
 
 class Numerics(NamedTuple):
-    """How finely contacts along a course are resolved: a typical threshold, the longest
-    displacement in a step of the coarsest grid, and the longest life in the stationary
-    state before."""
+    """Contacts along a course, and how to resolve them: a typical threshold, the
+    largest displacement in a step of the coarsest grid, and the longest life, in
+    displacement, in the stationary state before."""
 
     ensemble: Reduced
     course: Course
@@ -300,7 +302,8 @@ class Numerics(NamedTuple):
     life: float
 
     def contacts(self, fine: float) -> PooledContacts | Fronts:
-        """For kernels, `fine` times as many strata or cells."""
+        """Contacts for kernels, with `fine` times the strata or cells of the coarsest
+        grid."""
         ensemble, delay = self.ensemble, self.ensemble.delay.for_kernels()
         aging = ensemble.aging
         stiffens = bool(stiffness_varies(aging, ensemble.springs))
@@ -315,7 +318,7 @@ class Numerics(NamedTuple):
     def path(
         self, t: Array, X: Array, fine: float, choices: Choices = NO_CHOICES
     ) -> CohortPath:
-        """Through edges, arrays (edges,)."""
+        """Path for kernels, through edges t, X of steps, arrays (edges,)."""
         width, before = self.width / fine, self.course.before
         cohorts = math.ceil(self.life / width) if before else 0
         share = STEP_PER_AGE / fine
@@ -323,9 +326,9 @@ class Numerics(NamedTuple):
 
 
 def _typical(contacts: Reduced, reach: float) -> float:
-    """A threshold that sets steps after a fresh start if no contact is stretched by
-    more than `reach`: thresholds beyond, such as stand for contacts that never break,
-    do not count, nor does their mean if most are far less."""
+    """A threshold that sets steps after a fresh start, where no contact is stretched by
+    more than `reach`. Thresholds beyond do not count, as they may stand for contacts
+    that never break; nor does the mean if most thresholds are far less."""
     law = contacts.law
     median = float(law.inverse_survival(math.log(2.0)))
     typical = min(law.mean, 2.0 * median) / law.scale
@@ -339,10 +342,11 @@ def _typical(contacts: Reduced, reach: float) -> float:
 
 
 def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
-    """How to resolve contacts that are stretched by no more than `reach`. Raises
+    """Resolution of contacts that are stretched by no more than `reach`. Raises
     InputError for contacts whose lives are too different for a stationary start."""
     law, aging, v = contacts.law, contacts.aging, course.before
-    # two standard deviations, and the strongest that counts
+    # -ln of the survival one standard deviation below and above the median, and of the
+    # strongest threshold that counts
     exponents = np.array([0.17, 1.8, 36.0])
     low, high, strongest = np.asarray(law.inverse_survival(exponents)) / law.scale
     typical = law.mean / law.scale if v else _typical(contacts, reach)
@@ -354,16 +358,15 @@ def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
         life = strongest * max(1.0, float(aging.growth_at(np.array([life / v]))[0]))
     if v and life > _MOST_COHORTS * width:
         raise InputError(
-            "programme: contacts whose thresholds are thousands of times the width of "
-            "their law still matter, and have no reference with "
-            'start = "stationary"; start "fresh"'
+            "programme: thresholds of hundreds of widths of their law matter, and have "
+            'no reference with start = "stationary"; use start = "fresh"'
         )
     return Numerics(contacts, course, typical, width, life)
 
 
 def solve(contacts: Reduced, course: Course) -> tuple[Array, Array, list[History]]:
-    """Times of kinks, and of the edges of the finest of three grids, each with twice
-    the steps of the one before; and the means on these grids."""
+    """Solve on three grids, each with twice the steps of the one before: times of kinks
+    and of the edges of the finest, and the means on all."""
     corners = np.append(0.0, course.ends)
     X = course.at(corners)
     numerics = numerics_of(contacts, course, float(np.ptp(X)) or math.inf)
@@ -404,7 +407,7 @@ def solve(contacts: Reduced, course: Course) -> tuple[Array, Array, list[History
 
 @dataclass(frozen=True, repr=False)
 class Transient(Result):
-    """Exact means over independent contacts on the way, arrays of shape (points,).
+    """Exact means over independent contacts along a drive, arrays of shape (points,).
 
     Attributes
     ----------
@@ -420,8 +423,8 @@ class Transient(Result):
         solver.
     force_variance, force_variance_error : ndarray or None
         Variance over contacts of the force of one over k (length^2), and its error
-        estimate; None if not asked for, where contacts stay in step for longer than the
-        grids can tell, or where a stationary one is infinite.
+        estimate; None if not asked for, if contacts stay in step for longer than the
+        grids resolve, or if the stationary variance is infinite.
     stage, X_error : ndarray or None
         Of a slider that a stage pulls, in mean field: displacement of the stage's end
         of the spring, and the error estimate of X, which is found with it (length).
@@ -452,9 +455,10 @@ def with_drag(
     unit: float,
     breaks: Array,
 ) -> Transient:
-    """Means with the viscous force `drag` of each detached contact, which may miss the
-    mean force by `drag_error`, from the force, the pinned share and the variance
-    without it, shape (3, points), and their errors; lengths in units of `unit`."""
+    """Add the viscous force `drag` of each detached contact, which may miss the mean
+    force by `drag_error`, to the force, the pinned share and the variance without it,
+    `values`, shape (3, points); `errors` are those of the force, the pinned share and
+    the mean square. Lengths are in units of `unit`."""
     force, pinned, spread = values
     detached = 1.0 - pinned
     total = force + drag * detached
@@ -482,27 +486,27 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
     unit, time = ensemble.thresholds.scale, grid.t[-1]
     kinks, edges, solved = solve(contacts, course)
     t, finest = np.minimum(grid.t / time, 1.0), solved[-1]
-    smooth = np.searchsorted(edges, kinks) if contacts.law.steps.size else None
+    jumps = np.searchsorted(edges, kinks) if contacts.law.steps.size else None
     grids = [np.array(history[:3]) for history in solved]
-    best, errors = _extrapolated_means(edges, grids, smooth)
-    # a variance, which between edges is nearer to a straight line
+    best, errors = _extrapolated_means(edges, grids, jumps)
+    # the variance is interpolated: it is nearer to linear than the mean square
     best[2] -= best[0] ** 2
     values, breaks = np.zeros((3, t.size)), np.zeros(t.size)
-    first, done = 0, 0
-    for kink in kinks:  # smooth up to the next
+    first, begin = 0, 0
+    for kink in kinks:  # means are smooth up to the next
         last = np.searchsorted(edges, kink)
-        there = np.searchsorted(t, kink * (1.0 + 1e-12), side="right")
-        if there > done:
+        end = np.searchsorted(t, kink * (1.0 + 1e-12), side="right")
+        if end > begin:
             piece = slice(first, last + 1)
             x, means = edges[piece], best[:, piece]
-            inside = np.clip(t[done:there], x[0], x[-1])
-            values[:, done:there] = Akima1DInterpolator(x, means, axis=1)(inside)
-            # a bound: what interpolation between every other edge misses at the rest
+            inside = np.clip(t[begin:end], x[0], x[-1])
+            values[:, begin:end] = Akima1DInterpolator(x, means, axis=1)(inside)
+            # a bound: the error of interpolation between every other edge at the rest
             rough = Akima1DInterpolator(x[::2], means[:, ::2], axis=1)(x)
             errors[:, piece] += largest_nearby(rough - means, 5)
             rate = np.diff(finest.breaks[piece]) / np.diff(x)
-            breaks[done:there] = np.interp(inside, 0.5 * (x[1:] + x[:-1]), rate)
-        first, done = last, there
+            breaks[begin:end] = np.interp(inside, 0.5 * (x[1:] + x[:-1]), rate)
+        first, begin = last, end
     missed = np.array([np.interp(t, edges, error) for error in errors])
     drag = drag_of(ensemble, unit / time) * course.velocity[grid.segment]
     return with_drag(grid, values, missed, drag, 0.0, unit, breaks / time)
@@ -511,12 +515,13 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
 def _extrapolated_means(
     edges: Array, grids: list[Array], jumps: Array | None
 ) -> tuple[Array, Array]:
-    """The values of no step at all at the edges of the finest of three grids, and their
-    errors, shape (means, edges). A discrete law `jumps`, at most at these edges.
+    """Values extrapolated to vanishing steps at the edges of the finest of three grids,
+    and their errors, shape (means, edges). `jumps`: indices of edges at which the means
+    of a discrete law may jump; None for other laws.
 
-    The error is twice by how much an extrapolation from the two coarser grids is
-    different, nearby too: were the scheme of first order, the finer one would miss half
-    as much (derived).
+    The error is twice the largest difference nearby from an extrapolation of the two
+    coarser grids: were the scheme of first order, the finer one would miss half as much
+    (derived).
     """
     rough, coarse, fine = grids
     once = extrapolated(rough, coarse[:, ::2])
@@ -532,7 +537,7 @@ def _extrapolated_means(
     best = fine + on_finest(twice - fine[:, ::2], 2)
     errors = on_finest(missed, 4)
     errors += _TABLE_ERROR * np.abs(best).max(axis=1, keepdims=True)
-    # equal thresholds that break together within a step, other than at known instants
+    # equal thresholds that break together within a step, at an instant not in `jumps`
     if jumps is not None:
         share = np.diff(edges)[:-1] / (edges[2:] - edges[:-2])
         straight = best[:, :-2] + (best[:, 2:] - best[:, :-2]) * share

@@ -3,8 +3,8 @@
 A singularity of the births at an instant s and one of the density of thresholds at xi
 make one of the breaks when contacts born at s are stretched by xi, and with it one of
 the births (derived). Its order tells how sharp it is: -1 is an atom, -1/2 an integrable
-infinity, 0 a jump, 1 a kink. Of orders a and b comes one of order a + b + 1. A grid of
-steps that end at these instants is of second order although the density is not smooth.
+infinity, 0 a jump, 1 a kink. Orders a and b make one of order a + b + 1. With steps
+that end at these instants a grid is of second order although the density is not smooth.
 """
 
 import heapq
@@ -22,21 +22,22 @@ from eqsim.numerics.tables import Array
 SMOOTH = 2.0
 # The share of contacts at a singularity that steps end at.
 LIGHTEST = 1e-5
-# Instants that are followed.
+# Most instants that are followed.
 MOST_INSTANTS = 256
 # Samples of a segment, where thresholds grow.
 SAMPLES = 64
+# Bisections of a passage between two samples.
 BISECTIONS = 45
-# Distances over a threshold: where the density is infinite it is larger at NEAR than at
-# FAR, by a factor over STEEP.
+# Relative distance from a threshold where its density is compared with that at FAR.
 NEAR = 1e-12
 FAR = 1e-9
+# Ratio of the densities at NEAR and FAR, above which the density is taken as infinite.
 STEEP = 3.0
 
 
 class Levels(NamedTuple):
-    """Singularities of a law of thresholds: places in units of its scale, orders,
-    shares of contacts, arrays (n,)."""
+    """Singularities of a law of thresholds: where they are, in units of its scale,
+    orders, and shares of contacts, arrays (n,)."""
 
     xi: Array
     order: Array
@@ -52,8 +53,8 @@ class Corners(NamedTuple):
 
 
 class Sharp(NamedTuple):
-    """An instant, the order of what is born then and its share of the contacts; ordered
-    by importance."""
+    """Singularity of births: order, minus the share of the contacts, and instant. The
+    most important come first in ascending order."""
 
     order: float
     lightness: float
@@ -61,8 +62,7 @@ class Sharp(NamedTuple):
 
 
 def levels_of(law: ThresholdLaw) -> Levels:
-    """`Levels` of a law; the share that a kink or jump counts as is that of a tenth of
-    the law."""
+    """Singularities of a law; a kink or jump counts as a tenth of the contacts."""
     xi = law.kinks
     if law.steps.size:
         _, counts = np.unique(law.steps, return_counts=True)
@@ -80,8 +80,8 @@ def levels_of(law: ThresholdLaw) -> Levels:
 def passages(
     corners: Corners, t: float, xi: Array, growth: Callable[[Array], Array] | None
 ) -> Array:
-    """Times when contacts born at an instant are first stretched by thresholds, ascending,
-    that are xi at birth and grow by `growth` with age; infinite if never."""
+    """Times when contacts born at t are first stretched by thresholds, which are xi at
+    birth, ascending, and grow by the factor `growth` of age; infinite if never."""
     after = corners.t > t
     times = np.append(t, corners.t[after])
     if growth is not None:
@@ -96,25 +96,23 @@ def passages(
     greatest = np.maximum.accumulate(reached(times))
     last = np.searchsorted(greatest, xi * (1.0 - 1e-14))
     there = (last < times.size) & (last > 0)
-    found = np.full(xi.size, math.inf)
+    passed = np.full(xi.size, math.inf)
     low, high, level = times[last[there] - 1], times[last[there]], xi[there]
-    if (
-        growth is None
-    ):  # on straight pieces |x| grows up to the level at their ends only
+    if growth is None:  # X is straight in between, and |x| is greatest at the end
         X0, X1 = (np.interp(end, corners.t, corners.X) for end in (low, high))
         share = (here + np.copysign(level, X1 - here) - X0) / (X1 - X0)
-        found[there] = low + (high - low) * np.clip(share, 0.0, 1.0)
-        return found
+        passed[there] = low + (high - low) * np.clip(share, 0.0, 1.0)
+        return passed
 
     def early(times: Array) -> Array:
         return np.asarray(reached(times) < level)
 
-    found[there] = bisected(early, low, high, BISECTIONS)[1]
-    return found
+    passed[there] = bisected(early, low, high, BISECTIONS)[1]
+    return passed
 
 
 def _again(corners: Corners, X: float, since: int) -> float:
-    """The time when the slider passes X again after a corner."""
+    """Time when the slider passes X again after corner `since`; infinite if never."""
     side = np.sign(corners.X[since + 1 :] - X)
     moved = np.flatnonzero(side)
     if moved.size == 0:
@@ -135,20 +133,20 @@ def _turns(corners: Corners) -> list[int]:
 
 
 def _resumed(corners: Corners, t: float) -> list[float]:
-    """Times when contacts born at an instant, which have been less stretched since, are
-    stretched more than ever."""
+    """Times when contacts born at t, whose stretch has fallen, begin to be stretched
+    more than before."""
     after = np.flatnonzero(corners.t > t)
     here = np.interp(t, corners.t, corners.X)
     x = np.append(0.0, np.abs(corners.X[after] - here))
     greatest = np.maximum.accumulate(x)
-    found = []
+    resumed = []
     for j in np.flatnonzero((np.diff(greatest) > 0.0) & (x[:-1] < greatest[:-1])):
         level = math.copysign(greatest[j], corners.X[after[j]] - here)
         X0 = corners.X[after[j - 1]]
         share = (here + level - X0) / (corners.X[after[j]] - X0)
         begin, end = corners.t[after[j - 1]], corners.t[after[j]]
-        found.append(float(begin + share * (end - begin)))
-    return found
+        resumed.append(float(begin + share * (end - begin)))
+    return resumed
 
 
 def sharp_instants(
@@ -160,7 +158,7 @@ def sharp_instants(
     fresh: bool,
     by_time: bool,
 ) -> list[Sharp]:
-    """Find when many contacts are born or break at once.
+    """Find the instants at which many contacts are born or break at once.
 
     Parameters
     ----------
@@ -168,13 +166,15 @@ def sharp_instants(
     levels : Levels
         Of the law of thresholds.
     growth : callable, optional
-        By what factor thresholds have grown, at ages.
+        Factor by which thresholds have grown at an age; None if they do not grow.
     delay : float
-        The mean one; `spread` if they are not all the same.
+        Mean delay.
+    spread : bool
+        True if delays differ.
     fresh : bool
-        Whether all contacts are born at 0.
+        True if all contacts are born at 0.
     by_time : bool
-        Whether the births per displacement depend on the velocity.
+        True if the births per displacement depend on the velocity.
 
     Returns
     -------
@@ -189,13 +189,14 @@ def sharp_instants(
         heap.append(Sharp(0.0, -0.5, _again(corners, float(corners.X[j]), j)))
     heapq.heapify(heap)
     end = float(corners.t[-1])
-    found: list[Sharp] = []
+    instants: list[Sharp] = []
     ascending = np.argsort(levels.xi)
-    while heap and len(found) < MOST_INSTANTS:
+    while heap and len(instants) < MOST_INSTANTS:
         birth = heapq.heappop(heap)
-        if not birth.t < end or any(abs(birth.t - other.t) < 1e-13 for other in found):
+        known = any(abs(birth.t - other.t) < 1e-13 for other in instants)
+        if known or not birth.t < end:
             continue
-        found.append(birth)
+        instants.append(birth)
         if birth.order < 0.0 and growth is None:
             for t in _resumed(corners, birth.t):
                 heapq.heappush(heap, Sharp(0.0, birth.lightness, t))
@@ -207,10 +208,10 @@ def sharp_instants(
                 continue
             broken = Sharp(float(order), float(lightness), float(t))
             if delay and not spread:
-                found.append(broken)
+                instants.append(broken)
             if delay and spread:
                 broken = broken._replace(order=broken.order + 1.0)
             elif delay:
                 broken = broken._replace(t=broken.t + delay)
             heapq.heappush(heap, broken)
-    return [instant for instant in found if instant.t > 0.0]
+    return [instant for instant in instants if instant.t > 0.0]

@@ -1,18 +1,17 @@
-"""Mean field of a slider that a stage pulls: the expectation of infinitely many
-contacts along the X(t) they allow.
+"""Mean field of a slider that a stage pulls: the limit of infinitely many contacts.
 
-The force of all contacts is what the renewal equation in two times says of X so far
-(`master.programme`), and X obeys
+The force F of the contacts follows from X so far by the renewal equation in two times
+(`master.programme`), and with Y, the displacement of the stage, X obeys
 
     m X'' + eta_s X' = kappa_s (Y - X) - F - eta_l X' (1 - pinned),
 
-all per N k. In a step F is taken for F + (A + rho) dX + r dt, with A the stiffness of
-all pinned contacts and rho (without heat, per dX) or r (with heat, per dt) what breaks
-and births added in the last step, for which X is found by an implicit Runge-Kutta
-method (the engine has closed forms). Steps are so short that dX and what this
-estimate misses, of F and of the pinned fraction, are small; two accuracies, the second
-with steps about half as long, give the result and its error, and a third one where that
-takes few steps.
+all per N k. In a step F changes by about (A + rho) dX + r dt: A is the stiffness of all
+pinned contacts, and rho (without heat, per dX) or r (with heat, per dt) is the change
+by breaks and births in the last step. X is then found by an implicit Runge-Kutta method
+(the engine has closed forms). Steps are so short that dX and the errors of this
+estimate, in F and in the pinned fraction, are small. Two accuracies, the second with
+steps about half as long, give the result and its error; where they take few steps there
+is a third.
 """
 
 import math
@@ -50,37 +49,37 @@ from eqsim.numerics.quadrature import largest_nearby
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
 
-# Steps of the second accuracy, those of a few slips, up to which a third one is solved
-# for.
+# Most steps of the second accuracy, those of a few slips, for a third one to be solved.
 _STEPS_OF_FEW_SLIPS = 6000
-# The same of discrete laws, every threshold of which begins cohorts of its own.
+# The same for discrete laws, each threshold of which begins cohorts of its own.
 _STEPS_OF_DISCRETE = 1000
-# By how much F may be missed in a step of the coarsest accuracy, in units of a typical
-# threshold.
-_MISSED = 1e-4
-# Share of it by which r may be missed.
-_UNBALANCED = 0.05
-# Trials in which r is found.
+# Error of F allowed in a step of the coarsest accuracy, in typical thresholds.
+_FORCE_TOLERANCE = 1e-4
+# Share of that error which r may cause.
+_RATE_TOLERANCE = 0.05
+# Most trials in which r is found.
 _TRIALS = 8
-# Share of the longest step without heat, in which all contacts may break at once.
+# Share of the largest displacement, in which without heat all contacts may break.
 _ALL_AT_ONCE = 1e-4
-# Share of the longest step, in which equal thresholds may break that change F by as
-# much as may be missed.
+# Share of the largest displacement, in which equal thresholds may break that change F
+# by the error allowed.
 _EQUAL_AT_ONCE = 0.1
-# What a straight X(t) misses in the middle of a step, over what r changes in it.
+# Error of a straight X(t) in the middle of a step, over the change of r in the step.
 _BENT = 0.125
-# How much farther than others given steps may go, and how much worse they may miss F.
+# Largest displacement in a repeated step over that in others.
 _FARTHER = 10.0
+# Largest error of F in a repeated step over that allowed.
 _WORSE = 30.0
-# Cohorts whose fates there is room for, in the mean over steps.
+# Cohorts per step, in the mean, whose fates can be noted.
 _FATES = 128
-# A piece of a step in units of the time of the motion, and pieces at most where that is
-# stable: faster motions have ended within a step.
+# Length of a piece of a step in units of the time of the motion.
 _PIECE = 0.0625
+# Most pieces of a step where the motion is stable: a faster one ends within the step.
 _MOST_PIECES = 24
-# A mass that next to nothing pulls back: one piece misses 2e-3 of how far it coasts.
+# Fewest pieces of a step with a mass: with one a coasting mass misses 2e-3 of its way.
 _PIECES_OF_A_MASS = 2
-# Times of the motion in a step beyond which what runs away is taken to be at infinity.
+# Length of a step in times of the motion, beyond which an unstable motion ends at
+# infinity.
 _RUNAWAY = 30.0
 # The shortest step over the whole time: more than rounding.
 _LEAST_STEP = 1e-13
@@ -93,14 +92,14 @@ _TIME_AT_ONCE = 1e-12
 
 
 class TooManySteps(InputError):
-    """The mean field of a slider that slips too often."""
+    """Error of a mean field with too many steps, as the slider slips too often."""
 
 
 class Spring(NamedTuple):
-    """Stage and slider, with time in units of the whole programme: numbers of the
-    equation, `drag` being the damping per detached share; whether the spring balances
-    all other forces at first, or else its stretch, and the velocity then; whether heat
-    breaks contacts; and whether equal thresholds break at once."""
+    """Stage and slider, with time in units of the whole programme. `drag` is the
+    damping per detached share. At first the spring balances all other forces if
+    `in_balance`, and else has the `stretch`; the slider has the `velocity`. `heat`: it
+    breaks contacts; `discrete`: equal thresholds may break at once."""
 
     stiffness: float
     damping: float
@@ -114,8 +113,8 @@ class Spring(NamedTuple):
 
 
 class Slide(NamedTuple):
-    """Means at the edges of steps, shape (6, edges), as in `Solution`, but for X; how
-    many edges there are; and whether they reach the last mark. They do not where there
+    """Means at the edges of steps, shape (6, edges), the rows of `Solution` without X;
+    the number of edges; and whether they reach the last mark. They do not where steps
     are too many, or where given choices do not fit."""
 
     means: Array
@@ -133,13 +132,13 @@ def displaced(
     V: float,
     dt: float,
 ) -> tuple[float, float]:
-    """Displacement and velocity after dt of what obeys, from X = 0 and X' = V,
+    """Displacement and velocity after dt of a slider that from X = 0, X' = V obeys
 
         mass X'' + damping X' = net + gain t - stiffness X;
 
     infinite where nothing holds it. Solved by the method Radau IIA of two stages
     (L-stable and of third order; Hairer and Wanner, 1996, table IV.5.5), in pieces
-    beside which the motion is slow; the engine has closed forms."""
+    that are short beside the time of the motion."""
     slow = damping + math.sqrt(mass * abs(stiffness))
     fast = abs(stiffness) * dt
     if stiffness <= 0.0 and (fast > _RUNAWAY * slow or damping + mass == 0.0):
@@ -150,7 +149,7 @@ def displaced(
         pieces = max(pieces, math.ceil(min(fast / (_PIECE * slow), most)))
     h, X = dt / pieces, 0.0
     inertia, spring = mass / h, stiffness * h
-    # of both stages, in the velocities v1 and v2 at h/3 and h
+    # linear equations of both stages for the velocities v1 and v2 at h/3 and h
     a11 = damping + 1.5 * inertia + 5.0 / 12.0 * spring
     a12 = 0.5 * inertia - spring / 12.0
     a21 = 0.75 * spring - 4.5 * inertia
@@ -175,11 +174,11 @@ def pull(
     speeds: Array,
     tolerance: float,
 ) -> Slide:
-    """Fill `path` from its first edge on. Steps end at `marks` (marks,), up to each of
-    which the stage moves at `speeds`, and miss F by `tolerance` about; with given
-    choices they are those of `path.t`."""
+    """Solve for the motion of the slider, and fill `path` from its first edge on. Steps
+    end at `marks` (marks,), up to each of which the stage moves at `speeds`, and miss F
+    by about `tolerance`; given choices have the steps of `path.t`."""
     t, X, choices, given = path.t, path.X, path.choices, path.choices.given
-    # arrays of their own take ten times as long, longer than a short solve
+    # six arrays instead of one take ten times as long, longer than a short solve
     means = np.zeros((6, t.size))
     history = History(means[0], means[1], means[2], means[3])
     Y, velocity, whole = means[4], means[5], marks[-1]
@@ -190,14 +189,14 @@ def pull(
     if spring.in_balance:
         damping = spring.damping + spring.drag * (1.0 - history.pinned[0])
         Y[0] = (history.force[0] + damping * spring.velocity) / spring.stiffness
-    # of the last step: what breaks and births changed F by, per dX (rho) and per time
-    # (r), the change of the pinned share per time (q), and the acceleration
+    # in the last step: change of F by breaks and births, per dX (rho) and per time (r),
+    # change of the pinned share per time (q), and acceleration
     rho, r, q, acceleration = 0.0, 0.0, 0.0, 0.0
     longest = _FIRST_OF_ALL * whole
     shortest = max(_STEP_PER_WIDTH * path.width, _LEAST_STEP * whole)
-    halvings = 0  # of the longest displacement in no time
-    usual = 0.0  # step before many contacts broke at once, to go on with
-    m, k = 1, 0
+    halvings = 0  # of the largest displacement in a step that takes no time
+    usual = 0.0  # step before many contacts broke at once, to resume with
+    m, k = 1, 0  # edge and mark ahead
     while k < marks.size and m < t.size and path.stop[0] == 0:
         force, pinned, V0 = history.force[m - 1], history.pinned[m - 1], velocity[m - 1]
         net = spring.stiffness * (Y[m - 1] - X[m - 1]) - force
@@ -221,7 +220,7 @@ def pull(
                 dt, last, guess, tries = 0.5 * dt, False, r, 0
                 continue
             if instant:
-                # nothing holds the slider: a piece in no time, towards balance
+                # nothing holds the slider: it moves towards balance in no time
                 size = path.width * 0.5**halvings
                 if held > 0.0:
                     least = (1e-2 if spring.heat else 1e-6) * path.width
@@ -240,19 +239,20 @@ def pull(
             kept = advance_all(contacts, path, after, history, m, count, rate)
             stiffness = observe(after, kept, X[m], history, m)
             change = history.force[m] - force - A * dX
+            # error of the estimate, of F or of the pinned share
             off = abs(change - rho * dX - r * dt)
             off = max(off, abs(history.pinned[m] - pinned - q * dt))
             if spring.heat:
                 off *= _BENT
-            # r obeys an equation, as the slider moves by what it says
+            # r has to agree with the guess, by which the slider moved
             missed = change / dt - guess
             sudden = not (spring.heat or given) and off > 4.0 * tolerance
             least = _ALL_AT_ONCE
             if sudden and spring.discrete:
                 least = max(least, _EQUAL_AT_ONCE * tolerance / off)
             if sudden and abs(dX) > least * path.width:
-                # many contacts break at once, or begin to: when and where has to be
-                # known, the better the more
+                # many contacts break at once, or begin to: the more they are, the
+                # better their time and place must be known
                 usual = max(usual, dt)
                 halvings = math.ceil(math.log2(2.0 * path.width / abs(dX)))
                 tries = _TRIALS if instant or dt <= shortest else 0
@@ -262,7 +262,7 @@ def pull(
                 break
             if given and (tries == choices.steps[m].trials or missed == missed_before):
                 break
-            if not given and abs(missed) * dt < _UNBALANCED * tolerance:
+            if not given and abs(missed) * dt < _RATE_TOLERANCE * tolerance:
                 if off < 4.0 * tolerance:
                     break
                 tries = _TRIALS
@@ -297,7 +297,7 @@ def pull(
             r = 0.0 if instant else change / dt
         else:
             softer = change / dX if dX != 0.0 else 0.0
-            # else an atom breaks, which tells nothing
+            # else equal thresholds broke, which says nothing of the next step
             if off < 4.0 * tolerance or abs(softer) < abs(rho):
                 rho = softer
         k += last
@@ -306,9 +306,9 @@ def pull(
 
 
 class Solution(NamedTuple):
-    """A solve, or its errors, at the instants asked for, arrays (points,): what
-    `History` has, the displacement of the stage, the velocity of the slider, and X;
-    lengths in units of the law's scale, time in units of the whole programme."""
+    """Means at the instants asked for, or their errors, arrays (points,): those of
+    `History`, the displacement of the stage, the velocity of the slider, and X. Lengths
+    are in units of the law's scale, time in units of the whole programme."""
 
     force: Array
     pinned: Array
@@ -320,8 +320,9 @@ class Solution(NamedTuple):
 
 
 def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transient:
-    """The mean field of a slider that a stage pulls (derived). Raises InputError for
-    what has no reference along a programme, and where it takes too many steps."""
+    """Solve for the mean field of a slider that a stage pulls (derived). Raises
+    InputError for what has no reference along a programme, and where steps are too
+    many."""
     unit, time = ensemble.thresholds.scale, float(grid.t[-1])
     best, _, missed = solutions_of(ensemble, programme, grid)
     spread = np.maximum(best.square - best.force**2, 0.0)
@@ -367,10 +368,10 @@ def force_of(
     choices: Choices = NO_CHOICES,
 ) -> Array:
     """The force at the instants of a grid by one solve, in the user's unit, shape
-    (points,): that with fine = 1 takes a tenth of the time of `pulled_of`, and misses
-    about four times as much as that with fine = 2. It repeats `choices`, those of
-    `choices_of` for other parameters, where they serve. Raises TooManySteps if it takes
-    more than `most_steps`, and InputError as `pulled_of` does."""
+    (points,). With fine = 1 it takes a tenth of the time of `pulled_of`, and its error
+    is about four times that with fine = 2. It repeats `choices`, those of `choices_of`
+    for other parameters, if they fit. Raises TooManySteps if it takes more than
+    `most_steps`, and InputError as `pulled_of` does."""
     unit, time = ensemble.thresholds.scale, float(grid.t[-1])
     task = task_of(ensemble, programme, grid)
     try:
@@ -386,7 +387,7 @@ def force_of(
 def choices_of(
     ensemble: Ensemble, programme: Programme, grid: Grid, fine: float, most_steps: int
 ) -> Choices:
-    """What `force_of`, which raises the same errors, decides."""
+    """Decisions of `force_of`, to be repeated; raises the same errors."""
     noted = unmade_choices(most_steps, most_steps * _FATES)
     _, edges = solved(task_of(ensemble, programme, grid), fine, most_steps, noted)
     steps = noted.steps[: edges + 1].copy()
@@ -399,8 +400,8 @@ def choices_of(
 
 
 class PulledTask(NamedTuple):
-    """Task that is solved at any accuracy, with the instants asked for; steps end
-    there, and if `halved` in the middle between these, too."""
+    """Task that is solved at any accuracy. Steps end at the instants `t` asked for, and
+    if `halved` in the middle between these, too."""
 
     numerics: Numerics
     spring: Spring
@@ -437,8 +438,8 @@ def solved(
     most_steps: int = MOST_STEPS,
     choices: Choices = NO_CHOICES,
 ) -> tuple[Solution, int]:
-    """Solve, and count the edges of steps, too. Raises TooManySteps, also if given
-    steps do not serve."""
+    """Solve at the accuracy `fine`; returns the number of edges of steps, too. Raises
+    TooManySteps, also if given choices do not fit."""
     numerics, ends = task.numerics, task.numerics.course.ends
     t = np.full(most_steps, math.inf)
     if choices.given:
@@ -455,7 +456,7 @@ def solved(
         marks = np.union1d(marks, marks - 0.5 * np.diff(marks, prepend=0.0))
     segment = np.minimum(np.searchsorted(ends, marks * (1.0 - 1e-12)), ends.size - 1)
     contacts, speeds = numerics.contacts(fine), numerics.course.velocity[segment]
-    tolerance = _MISSED * numerics.typical / fine**2
+    tolerance = _FORCE_TOLERANCE * numerics.typical / fine**2
     with ThreadPool(1) as thread:
         path = path._replace(stop=thread.stop)
         slide = thread.submit(

@@ -3,10 +3,11 @@
 Two borders in kappa_s, the stiffness of the spring over that of all contacts. On the
 way from a fresh start friction overshoots, as contacts that began together break
 together, and falls with X: a spring softer than the steepest fall cannot follow, and
-the slider slips. In the steady state a small perturbation grows or decays: without
-heat, aging and delay neither, as friction is then the same whatever X(t) does; with a
-delay by the characteristic equation (`master.characteristic`); else as a kick does in
-mean field (`master.kicks`).
+the slider slips. In the steady state a small perturbation grows or decays. Without
+heat, aging and delay it does neither, as friction is the same for any X(t). With a
+delay only, its rate follows from the characteristic equation
+(`master.characteristic`), else from the response to a kick in mean field
+(`master.kicks`).
 """
 
 import math
@@ -40,19 +41,20 @@ NEUTRAL = (
     "same at any X(t)"
 )
 
-# Length of the fresh transient in mean lives; cells of its coarsest grid in the middle
-# half of the ends of lives.
+# Length of the fresh transient in mean lives.
 _MEAN_LIVES = 8.0
+# Cells of its coarsest grid between the travels where the middle half of lives end.
 _CELLS_PER_WIDTH = 40.0
-# Fewest and most cells of the coarsest grid.
+# Fewest cells of the coarsest grid.
 _COARSEST_GRID = 1000
+# Most cells of the coarsest grid.
 _FINEST_GRID = 40_000
-# Points in the smallest slip of discrete thresholds, and chords from it to twice its
-# length.
+# Points in the smallest slip of discrete thresholds.
 _PER_SLIP = 100.0
+# Lengths of chords that are tried, from the smallest slip to twice its length.
 _CHORDS = 60
-# Points between three candidates for an extremum: it is then missed by 1e-5 of what
-# these differ by.
+# Points between three candidates for an extremum: its error is 1e-5 of their
+# differences.
 _NEAR = 401
 # Cells of the coarser grid around an extremum within which two grids are compared.
 _COMPARED_CELLS = 4.0
@@ -79,7 +81,7 @@ class FreshSlip(Result):
         thresholds is. Of discrete thresholds each step is a jump at any stiffness:
         `slip_stiffness`.
     X : Estimate
-        Where that is (length); without a value where it is 0.
+        Place of the steepest fall (length); without a value if friction never falls.
     peak_ratio : Estimate
         Largest force on the way over steady friction.
     slip_stiffness : Estimate
@@ -100,18 +102,18 @@ class Stability(Result):
     Attributes
     ----------
     velocity, stiffness : float
-        Of the stage (length/time), and kappa_s.
+        Velocity of the stage (length/time), and kappa_s.
     fresh : FreshSlip
     critical_stiffness : Estimate
         Below it steady sliding is unstable; without a value if it was not asked for or
         not found.
     growth, period : Estimate
-        Of the slowest perturbation of steady sliding at this kappa_s: its rate (1/time;
-        negative: it decays) and period (time), the latter without a value if it does
-        not oscillate, both if all decay within a fraction of a cycle, or not
+        Rate (1/time; negative: it decays) and period (time) of the slowest perturbation
+        of steady sliding at this kappa_s; the period has no value if it does not
+        oscillate, neither has one if all decay within a fraction of a cycle, or not
         exponentially (heavy-tailed thresholds). `stderr` is the error of the solver.
     method : str
-        What was solved.
+        Method by which perturbations were found.
     """
 
     velocity: float
@@ -123,7 +125,7 @@ class Stability(Result):
     method: str
 
     def estimates(self, *, brief: bool = False) -> dict[str, Estimate]:
-        """Its numbers by name, those of the fresh start as fresh_critical_stiffness,
+        """Estimates by name, those of the fresh start as fresh_critical_stiffness,
         ..."""
         names = ("critical_stiffness", "growth", "period")
         fresh = {f"fresh_{name}": x for name, x in self.fresh.estimates().items()}
@@ -137,8 +139,8 @@ class Stability(Result):
 
     @property
     def fresh_verdict(self) -> str:
-        """The way from a fresh start: "slips", "jumps" by less than a slip, "slides",
-        or "undecided" where errors of the borders do not tell."""
+        """Verdict on the way from a fresh start: "slips", "jumps" by less than a slip,
+        "slides", or "undecided" where the errors of the borders are too large."""
         slip, jump = self.fresh.slip_stiffness, self.fresh.critical_stiffness
         for border, below in ((slip, "slips"), (jump, "jumps")):
             apart = self.stiffness - known(border)
@@ -167,7 +169,7 @@ class Stability(Result):
 
 
 class SteadyPull(NamedTuple):
-    """A run that has a stability: what is pulled, how fast, and by what."""
+    """Contacts that a stage pulls at constant velocity (length/time)."""
 
     ensemble: Ensemble
     velocity: float
@@ -180,7 +182,7 @@ class SteadyPull(NamedTuple):
 
     @property
     def method(self) -> str:
-        """How perturbations of its steady state are found."""
+        """Method by which perturbations of the steady state are found."""
         contacts = reduced(self.ensemble, self.velocity)
         if contacts.barrier.thermal or not isinstance(contacts.aging, Unaged):
             return kicks.METHOD
@@ -188,11 +190,11 @@ class SteadyPull(NamedTuple):
 
     @property
     def quick(self) -> bool:
-        """Whether its critical stiffness takes no mean-field runs."""
+        """True if the critical stiffness takes no mean-field runs."""
         return self.method != kicks.METHOD
 
     def loops(self) -> list[characteristic.Loop]:
-        """The fine, the coarse and the scanned loop of the characteristic equation."""
+        """Loops of the characteristic equation: fine, coarse, and for scans."""
         contacts = reduced(self.ensemble, self.velocity)
         with under("drive"):
             pull = pull_of(self.ensemble, self.programme())
@@ -205,7 +207,7 @@ def pulled_by(ensemble: Ensemble, drive: Drive | Programme) -> SteadyPull:
     constant velocity, and contacts have a mean field."""
     if not isinstance(drive, Programme) or drive.stage is None:
         raise InputError(
-            "drive.stage: is required; without a spring the slider moves as it is told"
+            "drive.stage: is required; without a spring the motion is prescribed"
         )
     if len(drive.segments) != 1 or not drive.segments[0].velocity > 0.0:
         raise InputError(
@@ -256,8 +258,8 @@ def stability(
     --------
     >>> from eqsim import Ensemble, Programme, Segment, Stage, stability
     >>> drive = Programme([Segment(0.1, distance=1.0)], stage=Stage(stiffness=0.1))
-    >>> found = stability(Ensemble(), drive)
-    >>> found.verdict, found.fresh_verdict
+    >>> result = stability(Ensemble(), drive)
+    >>> result.verdict, result.fresh_verdict
     ('neutral', 'slips')
     """
     pulled = pulled_by(ensemble, drive)
@@ -355,8 +357,8 @@ def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
     Examples
     --------
     >>> from eqsim import Drive, Ensemble, fresh_slip
-    >>> found = fresh_slip(Ensemble(stiffness_law="uniform"), Drive(velocity=0.1))
-    >>> print(f"{found.critical_stiffness.value:.4f}")  # kappa_s = K/(N k)
+    >>> result = fresh_slip(Ensemble(stiffness_law="uniform"), Drive(velocity=0.1))
+    >>> print(f"{result.critical_stiffness.value:.4f}")  # kappa_s = K/(N k)
     0.1742
     """
     if isinstance(drive, (int, float)):
@@ -374,13 +376,13 @@ def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
     profile = profile_of(contacts)
     if profile.jumps or not isinstance(profile, SmoothLife):
         return _of_discrete(contacts, distance, least, level, unit)
-    # cells resolve how sharply lives end
+    # cells resolve the middle half of the ends of lives
     quick, slow = middle_half(profile)
     wanted = _CELLS_PER_WIDTH * distance / max(slow - quick, 1e-300)
     cells = 4 * int(min(max(wanted, _COARSEST_GRID), _FINEST_GRID))
     x = distance / cells * np.arange(cells + 1)
-    ways = [_way(profile, x[::n], contacts) for n in (4, 2, 1)]
-    rough, fine = ways[0].refined(ways[1]), ways[1].refined(ways[2])
+    grids = [_fresh_transient(profile, x[::n], contacts) for n in (4, 2, 1)]
+    rough, fine = grids[0].refined(grids[1]), grids[1].refined(grids[2])
     fall, fall_X, unknown = fine.steepest()
     other, other_X, _ = rough.steepest()
     highest, highest_X = fine.highest()
@@ -404,8 +406,8 @@ def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
 def _of_discrete(
     contacts: Reduced, distance: float, least: float, level: float, unit: float
 ) -> FreshSlip:
-    """`fresh_slip` of contacts that break together; lengths in units of `unit`, which
-    force and X are told in."""
+    """`fresh_slip` of contacts that break together. Lengths are in units of `unit`; the
+    result is in those of the user."""
     wanted = 0.25 * _PER_SLIP * distance / least
     cells = 4 * int(min(max(wanted, _COARSEST_GRID), _FINEST_GRID))
     x = distance * np.linspace(0.0, 1.0, cells + 1)
@@ -413,7 +415,7 @@ def _of_discrete(
     forces = [renewal_of(profile, edges, contacts).force for edges in (x[::2], x)]
     rough, highest = (float(force.max()) for force in forces)
     slip, X = _chord(forces, distance, least, profile.error * highest)
-    # between two points a force rises by no more than the contacts are stiff
+    # between points a force rises by no more than the stiffness times their distance
     missed = abs(highest - rough) + profile.error * highest
     missed += float(x[1] * np.abs(profile.at(x[1:2])[1]).max())
     ratio = Estimate(max(highest, level) / level, missed / level, 0)
@@ -425,11 +427,11 @@ def _chord(
     forces: Sequence[Array], distance: float, least: float, missed: float
 ) -> tuple[Estimate, float]:
     """The steepest fall of a force over a displacement of `least` or more, and where it
-    begins, from two grids, the finer one last; forces may miss `missed` besides the
-    difference of the grids.
+    begins, from two grids, the finer one last; `missed` is the error of the forces
+    besides the difference of the grids.
 
-    A chord of twice that length or more has a half that is as steep. Where a jump is
-    between points its chord may be longer or shorter by one of them.
+    Chords of up to twice that length suffice: of a longer one a half is as steep. The
+    chord of a jump between points may be longer or shorter by one cell.
     """
     (rough, _), (falls, X) = (
         _steepest_falls(force, distance, least) for force in forces
@@ -453,10 +455,10 @@ def _steepest_falls(force: Array, distance: float, least: float) -> tuple[Array,
     return falls, h * float(np.argmax(steepest >= (1.0 - 1e-6) * steepest.max()))
 
 
-class _Way(NamedTuple):
-    """A fresh transient on a uniform grid of edges x: a life, the viscous force that a
-    contact loses when it is pinned again, and, arrays (cells + 1,), the force, and the
-    force that contacts born on the way carry, with its slope."""
+class _FreshTransient(NamedTuple):
+    """Transient from a fresh start on a uniform grid of edges x: profile of a life, the
+    viscous force that a contact loses when it is pinned again, and, arrays (cells +
+    1,), the force, and the force of contacts born on the way, with its slope."""
 
     profile: SmoothLife
     drag: float
@@ -465,15 +467,15 @@ class _Way(NamedTuple):
     later: Array
     later_slope: Array
 
-    def refined(self, better: "_Way") -> "_Way":
+    def refined(self, better: "_FreshTransient") -> "_FreshTransient":
         """Values extrapolated as of second order with those of half the cell."""
         pairs = zip(self[3:], better[3:], strict=True)
         columns = [extrapolated(a, b[::2]) for a, b in pairs]
-        return _Way(self.profile, self.drag, self.x, *columns)
+        return _FreshTransient(self.profile, self.drag, self.x, *columns)
 
     def steepest(self) -> tuple[float, float, float]:
-        """Largest -dF/dx, infinite where a density of thresholds is, where it is, and
-        what the life's panels may miss."""
+        """Largest -dF/dx, infinite where the density of thresholds is, its place, and
+        the error of the panels of a life."""
         later = CubicSpline(self.x, self.later_slope)
 
         def falls(at: Array) -> Array:
@@ -489,15 +491,15 @@ class _Way(NamedTuple):
         return fall, X, float(near.missed[1, 0])
 
     def highest(self) -> tuple[float, float]:
-        """The largest force, also at kinks between edges, and where it is."""
+        """Largest force, also at kinks between edges, and its place."""
         later = CubicSpline(self.x, self.later)
         return self._greatest(lambda x: self.profile.at(x, 1)[1] + later(x))[:2]
 
     def _greatest(
         self, function: Callable[[Array], Array]
     ) -> tuple[float, float, float]:
-        """The largest value of a function of displacement, where it is, and the nearest
-        edge or kink, of all these and points between the neighbours of the largest."""
+        """Largest value of a function of displacement, its place, and the nearest edge
+        or kink; tried are all edges and kinks, and points next to the best of them."""
         lives = self.profile.x
         kinks = lives[(lives > 1e-6 * self.x[-1]) & (lives < self.x[-1])]
         edges = np.union1d(kinks, self.x[1:])
@@ -509,7 +511,9 @@ class _Way(NamedTuple):
         return float(values[j]), float(near[j]), float(edges[i])
 
 
-def _way(profile: SmoothLife, x: Array, contacts: Reduced) -> _Way:
+def _fresh_transient(
+    profile: SmoothLife, x: Array, contacts: Reduced
+) -> _FreshTransient:
     renewal, drag = renewal_of(profile, x, contacts), 0.0
     if contacts.delay.mean:
         drag = contacts.drag
@@ -518,13 +522,15 @@ def _way(profile: SmoothLife, x: Array, contacts: Reduced) -> _Way:
     carried = first - drag * np.append(1.0, profile.at(x[1:])[0])
     at_edges = 0.5 * (np.append(births[0], births) + np.append(births, births[-1]))
     slope = after(births, np.diff(carried)) + carried[0] * at_edges
-    return _Way(profile, drag, x, renewal.force, renewal.force - first, slope)
+    return _FreshTransient(
+        profile, drag, x, renewal.force, renewal.force - first, slope
+    )
 
 
 def _apart(x: Array, rough: Array, fine: Array, X: float) -> float:
-    """Find how far splines through values at edges `x` of one grid and at every one of
-    another, finer one differ around X: next to a kink by several times what the finer
-    one misses, though not everywhere."""
+    """Largest difference around X of two splines, through values at edges `x` and at
+    those of a finer grid: next to a kink it is several times the error of the finer
+    one, though not everywhere."""
     near = np.clip(X + _COMPARED_CELLS * x[1] * np.linspace(-1.0, 1.0, 33), 0.0, x[-1])
     edges = np.linspace(0.0, x[-1], fine.size)
     apart = CubicSpline(edges, fine)(near) - CubicSpline(x, rough)(near)

@@ -1,9 +1,9 @@
 """Transients from a fresh start and stationary fluctuations, by the renewal equation
 (derived).
 
-All contacts start pinned, as newborn ones. With S(x) the probability that a life
-outlasts a travel x, and m(x) the mean force of a life there, E[(k_i/k)(y + x); l > x]
-of births at y, births B and breaks Gamma per contact and unit displacement obey
+All contacts start pinned, as newborn ones. S(x) is the probability that the travel l of
+a life exceeds x, and m(x) = E[(k_i/k)(y + x); l > x] its mean force there, y being the
+stretch at birth. Births B and breaks Gamma per contact and unit displacement obey
 
     Gamma = -dS/dX + B * (-dS/dx),     B = Gamma * (law of v delay)
     pinned = S + B * S,     friction = m + B * m + (eta v/k)(1 - pinned)
@@ -16,9 +16,9 @@ order, and their difference an error that covers either order.
 
 Contacts that started together may stay in step for many cycles: identical ones, and all
 whose lives are short beside a fixed delay. Harmonic k of their births keeps a share
-|phi(k)|^m after m cycles, phi(k) = E[exp(i k x_b)] (derived), of which births spread
-over cells h lose what has k h sqrt(m) > 1. Cells are short enough for what is in step;
-where they cannot be, the share that may still be in step is part of the error.
+|phi(k)|^m after m cycles, phi(k) = E[exp(i k x_b)] (derived), but not on a grid of
+cells h if k h sqrt(m) > 1. Cells are short enough to keep all that matters; where they
+cannot be, the share that may still be in step is part of the error.
 """
 
 import math
@@ -46,21 +46,23 @@ from eqsim.results import Drawn, Result
 
 # A cell of the coarser grid in units of the typical threshold.
 _CELL_PER_THRESHOLD = 0.02
-# Fewest and most cells of the coarser grid.
+# Fewest cells of the coarser grid.
 _LEAST_CELLS = 500
+# Most cells of the coarser grid.
 _MOST_CELLS = 10_000
-# Cells where contacts stay in step, reached by the factor `_FINER`.
+# Most cells where contacts stay in step.
 _FINEST = 160_000
+# Factor from one number of cells that is tried to the next.
 _FINER = 4
-# k h sqrt(m) that two grids still tell.
+# k h sqrt(m) up to which the difference of two grids shows what they miss.
 _BLURRED = 1.5
-# The share in step beyond it that they may miss.
+# Share in step beyond it that they may miss.
 _MISSED_IN_STEP = 0.3
-# Length of the circle in transients.
+# Length of the circle of the Fourier transform, in transients.
 _CIRCLE = 6
-# What remains of the next turn of it.
+# Factor by which values are damped over one turn of the circle.
 _WRAPPED = 1e-13
-# A stretch beyond any.
+# A stretch beyond all.
 _EVERYTHING = np.array([1e90])
 
 
@@ -73,8 +75,8 @@ def transient(
 ) -> Transient:
     """Solve for the exact means of a run by the renewal equation.
 
-    Force is F/(N k), a length. The equation is the renewal form of eqs. (1), (3) and (4)
-    of Braun and Peyrard (2011) (derived), along a programme in two times
+    Force is F/(N k), a length. The equation is the renewal form of eqs. (1), (3) and
+    (4) of Braun and Peyrard (2011) (derived), along a programme in two times
     (`master.programme`), and of a slider that a stage pulls in mean field
     (`master.slider`), where X is found, not given. Coupled blocks are refused.
 
@@ -104,7 +106,7 @@ def transient(
     Examples
     --------
     >>> from eqsim import Drive, Ensemble, transient
-    >>> transient(Ensemble(), Drive(0.1, distance=3.0), points=4).force.round(4).tolist()
+    >>> transient(Ensemble(), Drive(0.1, 3.0), points=4).force.round(4).tolist()
     [0.0, 0.8579, 0.8727, 0.8897]
     """
     require_integer("points", points, 2, 10**8)
@@ -125,12 +127,12 @@ def transient(
     cells = cells_of(s, distance, points)
     solved = [renewal_of(cells.profile, cells.x[::step], s) for step in (2, 1)]
     X, edges = np.linspace(0.0, distance, points), cells.x[::2]
-    # up to which the means may rise while all are in step
+    # the largest means of contacts that are all in step
     strongest = np.maximum.accumulate(np.abs(from_birth(cells.profile, s, edges, 1)))
     detached = float(s.delay.mean > 0)
-    loudest = np.maximum(strongest, s.drag * detached), np.full(edges.size, detached)
-    coarse, fine = (np.array((way.force, way.pinned)) for way in solved)
-    best, error = _with_error(coarse, fine[:, ::2], cells, loudest)
+    in_unison = np.maximum(strongest, s.drag * detached), np.full(edges.size, detached)
+    coarse, fine = (np.array((means.force, means.pinned)) for means in solved)
+    best, error = _with_error(coarse, fine[:, ::2], cells, in_unison)
     if points > edges.size:
         error += _bend(best, 3)
     force, pinned, force_error, pinned_error = _interpolated(X, edges, *best, *error)
@@ -160,7 +162,7 @@ def _interpolated(X: Array, x: Array, *rows: Array) -> list[Array]:
 
 
 def _level(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Transient:
-    """A stationary start: nothing changes."""
+    """Constant means of a stationary start."""
     exact, level = reference(ensemble, drive, variance=variance), np.ones(points)
     X, pinned = np.linspace(0.0, drive.over(ensemble), points), known(exact.pinned)
     square, error = exact.force_variance, exact.force_variance.stderr or 0.0
@@ -179,10 +181,10 @@ def _level(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Tra
 
 
 class Cells(NamedTuple):
-    """A life and the edges `x` of the finer grid, every second one of which is of the
-    coarser; what share of the contacts may be in step (cells + 1,) at edges of the
-    coarser grid in a way that neither grid can tell; and over how many of these edges
-    it may blur the jumps of a discrete law."""
+    """Profile of a life; edges `x` of the finer grid, every second one of which belongs
+    to the coarser; at edges of the coarser grid, (cells + 1,), the share of contacts
+    that may be in step without either grid showing it; and over how many of these edges
+    the jumps of a discrete law may be blurred."""
 
     profile: Profile
     x: Array
@@ -191,7 +193,8 @@ class Cells(NamedTuple):
 
 
 def cells_of(contacts: Reduced, distance: float, points: int) -> Cells:
-    """Cells that resolve what has to be resolved on the way, as far as possible."""
+    """Cells that resolve the lives of contacts, and those in step as far as
+    possible."""
     discrete = contacts.law.steps.size > 0
     least = min(max(distance / _CELL_PER_THRESHOLD, _LEAST_CELLS), _MOST_CELLS)
     finest = _FINEST
@@ -206,9 +209,9 @@ def cells_of(contacts: Reduced, distance: float, points: int) -> Cells:
         profile = smooth or profile_of(contacts, fine)
         in_step, around = _in_step(profile, contacts, fine[::2])
         least *= _FINER
-        told = in_step.max() <= _MISSED_IN_STEP
-        if told or least > finest:
-            return Cells(profile, fine, in_step * (not told), around)
+        resolved = in_step.max() <= _MISSED_IN_STEP
+        if resolved or least > finest:
+            return Cells(profile, fine, in_step * (not resolved), around)
 
 
 def middle_half(profile: Profile) -> tuple[float, float]:
@@ -218,8 +221,8 @@ def middle_half(profile: Profile) -> tuple[float, float]:
 
 
 def _in_step(profile: Profile, contacts: Reduced, x: Array) -> tuple[Array, int]:
-    """The share of contacts that may be in step at each edge `x` of a grid that blurs
-    it, and `Cells.around`."""
+    """Share of contacts that may be in step at each edge `x` of a grid that blurs them,
+    and `Cells.around`."""
     h, delay = x[1], contacts.delay.mean
     quick, slow = middle_half(profile)
     cycle = delay + slow
@@ -241,13 +244,13 @@ def _in_step(profile: Profile, contacts: Reduced, x: Array) -> tuple[Array, int]
     if profile.jumps:
         around = 2 + math.ceil(4 * math.sqrt(x[-1] / (6 * (delay + quick))))
         if around * h < min(quick, delay or quick):
-            share[:] = 0.0  # what is in step is longer than the grid blurs it
+            share[:] = 0.0  # lives are longer than the blur
     return share, 2 * around + 1
 
 
 def from_birth(profile: Profile, contacts: Reduced, x: Array, power: int) -> Array:
     """E[(k_i/k)^p (y + x)^p; l > x], p = `power`, at edges `x` from 0, where it is 0
-    without births y."""
+    unless contacts are born stretched, by y."""
     means = profile.at(np.append(x[1] * 1e-9, x[1:]), power)[power]
     means[0] *= contacts.newborn.active
     return means
@@ -266,10 +269,10 @@ class Renewal(NamedTuple):
 def renewal_of(profile: Profile, x: Array, contacts: Reduced) -> Renewal:
     """Solve the renewal equation on a uniform grid of edges `x` from 0.
 
-    By generating functions: with w of the chance to be still detached, d = 1 - (1 - z)
-    w of births after a break, and D of survival, breaks (w + d D) is that of 1 - S, as
-    every contact is either pinned or detached (derived). They are taken on a circle |z|
-    < 1 where hardly anything comes around.
+    With generating functions w of the probability to be still detached, d = 1 - (1 - z)
+    w of births after a break, and D of survival, that of the breaks times (w + d D) is
+    that of 1 - S, as every contact is either pinned or detached (derived). They are
+    taken on a circle |z| < 1, where hardly anything wraps around.
     """
     cells, h = x.size - 1, x[1]
     survive = profile.at(x[1:])[0]
@@ -298,8 +301,8 @@ def renewal_of(profile: Profile, x: Array, contacts: Reduced) -> Renewal:
 
 
 def after(events: Array, response: Array) -> Array:
-    """At edges of cells, the convolution of `events` in each cell with the response to
-    these so many cells later."""
+    """Convolution, at edges of cells, of the `events` in each cell with the `response`
+    to an event so many cells later."""
     size = fft.next_fast_len(2 * events.size - 1, real=True)
     product = fft.rfft(events, size) * fft.rfft(response, size)
     return np.append(0.0, fft.irfft(product, size)[: events.size])
@@ -309,8 +312,8 @@ def _squares(
     cells: Cells, contacts: Reduced, solved: list[Renewal]
 ) -> tuple[Array, Array]:
     """Mean square of the force of a contact at the edges of the coarser grid, and its
-    error: as the mean force, with E[(k_i/k)^2 (y + x)^2; l > x] in the place of m
-    (derived)."""
+    error. It obeys the equation of the mean force with E[(k_i/k)^2 (y + x)^2; l > x] in
+    the place of m (derived)."""
     squares, profile = [], cells.profile
     for step, renewal in zip((2, 1), solved, strict=True):
         x = cells.x[::step]
@@ -324,17 +327,17 @@ def _squares(
 
 
 def _without_cells(coarse: Array, better: Array) -> tuple[Array, Array]:
-    """The values of no cell width from those at the same edges of two grids, and what
-    the coarser one missed, nearby too."""
+    """Values extrapolated to vanishing cells from those at the same edges of two grids,
+    and the largest difference of the grids nearby."""
     missed = largest_nearby(better - coarse, (coarse.shape[-1] - 1) // 20)
     return extrapolated(coarse, better), missed
 
 
 def _with_error(
-    coarse: Array, better: Array, cells: Cells, loudest: tuple[Array, Array]
+    coarse: Array, better: Array, cells: Cells, in_unison: tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    """Means, shape (means, edges), that may be as great as `loudest` while all contacts
-    are in step, and their errors.
+    """Means, shape (means, edges), and their errors; `in_unison` are the largest means
+    of contacts that are all in step.
 
     Errors of a life are passed on by its births, so that they scale with the largest
     mean so far.
@@ -347,15 +350,15 @@ def _with_error(
         # 0.083 of their height
         blurred = 8 * largest_nearby(better - coarse, cells.around)
         error += np.maximum(_bend(coarse, 5), blurred)
-    height = np.maximum(np.ptp(best, axis=1, keepdims=True), loudest)
+    height = np.maximum(np.ptp(best, axis=1, keepdims=True), in_unison)
     return best, error + height * cells.in_step
 
 
 def _bend(values: Array, points: int) -> Array:
-    """The largest second difference nearby, along the last axis. Where equal thresholds
-    break together the truth is somewhere between both sides of a jump, of whose height
-    the steady rise between jumps is no part; of smooth values it is eight times what
-    straight lines between them miss."""
+    """Largest second difference nearby, along the last axis. Where equal thresholds
+    break together it is the height of the jump, without the steady rise between jumps,
+    and the truth lies between both sides. For smooth values it is eight times the error
+    of straight lines between them."""
     bends = np.diff(values, 2)
     ends = (bends[..., :1], bends, bends[..., -1:])
     return largest_nearby(np.concatenate(ends, axis=-1), points)
@@ -368,7 +371,7 @@ class Fluctuations(Result):
     Attributes
     ----------
     lag : ndarray
-        Displacement between two looks at the force (length).
+        Displacement between two values of the force (length).
     covariance, error : ndarray
         N times the autocovariance of F/(N k) at these lags, that is the variance at lag
         0, and its error estimate (length^2).
@@ -388,8 +391,8 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
 
     A contact found at stretch x (density E[S]/(C + v<tau>)) either survives the lag, or
     breaks after y and begins anew with the transient of a contact that has just broken;
-    one found detached begins with the rest of its delay. What the stiffness was a while
-    ago is not known where it follows an aging threshold: refused.
+    one found detached begins with the rest of its delay. A stiffness that follows an
+    aging threshold is refused, as its past is not known.
 
     Parameters
     ----------
@@ -414,8 +417,8 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     Examples
     --------
     >>> from eqsim import Drive, Ensemble, fluctuations
-    >>> found = fluctuations(Ensemble(), Drive(0.1, distance=2.0), points=3)
-    >>> found.covariance.round(4).tolist()  # at lags 0, 1 and 2
+    >>> result = fluctuations(Ensemble(), Drive(0.1, distance=2.0), points=3)
+    >>> result.covariance.round(4).tolist()  # at lags 0, 1 and 2
     [0.6771, 0.0504, 0.0111]
     """
     require_drive(drive)
@@ -432,18 +435,18 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     exact = reference(ensemble, drive, variance=True)
     if exact.force_variance.value is None:
         raise InputError(
-            "fluctuations: the variance is not known of contacts born stretched whose "
-            "law is this broad"
+            "fluctuations: the variance of contacts born stretched is not known for a "
+            "law this broad"
         )
     cycle = known(exact.travel) / unit + s.delay.mean
     mean, pinned = known(exact.friction) / unit, known(exact.pinned)
     cells = cells_of(s, distance / unit, points)
     profile, solved = cells.profile, []
     beyond, missed_beyond = np.zeros((2, 3, 3))
-    if not s.newborn.active:  # of these the profile's error has it
+    if not s.newborn.active:  # else the error of the profile includes it
         end, alive = float(profile.x[-1]), float(profile.survive[-1])
         beyond, missed_beyond = integrals_beyond(s, end, alive)
-    # int_0^inf y^power (S, k1, k2) dy
+    # int_0^inf y^power (S, k1, k2) dy, k1 and k2 being E[(k_i/k)^p; l > y], p = 1, 2
     total = beyond + [profile.integral(_EVERYTHING, power)[:, 0] for power in range(3)]
     for step in (2, 1):
         x = cells.x[::step]
@@ -461,13 +464,13 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
         waiting = s.drag * (1.0 - pinned) * detached
         solved.append((surviving / cycle + back + waiting - mean**2)[:: 3 - step])
     best, missed = _without_cells(*solved)
-    # kinks, which jumps of a discrete law make, are of lower order
+    # at kinks, which jumps of a discrete law make, the order is lower
     error = missed * (3 if profile.jumps else 1)
-    # of a variance little is left where contacts hardly differ, but errors of a profile
-    # are those of mean squares
+    # errors of a profile are those of mean squares, and may exceed a variance where
+    # contacts hardly differ
     error += (profile.error + cells.in_step) * (np.abs(best).max() + mean**2)
     error += missed_beyond[2, 2] / cycle
-    # by another quadrature, as far as there is one
+    # difference from the variance by another quadrature
     error += abs(best[0] - known(exact.force_variance) / unit**2)
     if points > best.size:
         error += _bend(best, 3)
@@ -478,7 +481,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
 
 def _reborn(fresh: Array, x: Array, contacts: Reduced) -> tuple[Array, Array]:
     """Integral of the mean force from a break on, and mean force of a contact found
-    detached, from the mean force `fresh` of a contact just pinned."""
+    detached, at edges `x`, from the mean force `fresh` of a contact pinned at 0."""
     spline, drag, delay = CubicSpline(x, fresh), contacts.drag, contacts.delay.mean
     total = spline.antiderivative()
     if delay == 0.0:
