@@ -157,6 +157,7 @@ def border_by_kicks(
     decays even at 1/64 of the stage's stiffness, which is then the error; without a
     value if it grows even at 64 times that stiffness."""
     errors: dict[float, tuple[float, float]] = {}
+    most = 2 * _MOST_OCTAVES + 1
 
     def growth(octave: float) -> float:
         if octave not in errors:
@@ -166,7 +167,7 @@ def border_by_kicks(
             decay = -velocity / ensemble.thresholds.mean
             value = decay if rate.value is None else rate.value
             errors[octave] = value, rate.stderr or 0.0
-            progress(len(errors), 2.0 * _MOST_OCTAVES)
+            progress(min(len(errors), most - 1), most)
         return errors[octave][0]
 
     direction, end = 1.0 if growth(0.0) > 0.0 else -1.0, 0.0

@@ -465,6 +465,7 @@ def with_drag(
     error = errors[0] + np.abs(drag) * errors[1] + drag_error
     variance = spread + drag * detached * (drag * pinned - 2.0 * force)
     variance_error = errors[2] + drag**2 * errors[1] + 2.0 * np.abs(total) * error
+    variance_error += 2.0 * np.abs(drag) * detached * drag_error
     return Transient(
         X=grid.X,
         force=total * unit,

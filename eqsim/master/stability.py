@@ -375,7 +375,8 @@ def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
     least, level = least_slip(ensemble.thresholds) / unit, friction / unit
     profile = profile_of(contacts)
     if profile.jumps or not isinstance(profile, SmoothLife):
-        return _of_discrete(contacts, distance, least, level, unit)
+        steady_level = Estimate(level, error / unit, 0)
+        return _of_discrete(contacts, distance, least, steady_level, unit)
     # cells resolve the middle half of the ends of lives
     quick, slow = middle_half(profile)
     wanted = _CELLS_PER_WIDTH * distance / max(slow - quick, 1e-300)
@@ -404,10 +405,10 @@ def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
 
 
 def _of_discrete(
-    contacts: Reduced, distance: float, least: float, level: float, unit: float
+    contacts: Reduced, distance: float, least: float, steady: Estimate, unit: float
 ) -> FreshSlip:
-    """`fresh_slip` of contacts that break together. Lengths are in units of `unit`; the
-    result is in those of the user."""
+    """`fresh_slip` of contacts that break together, whose friction in the steady state
+    is `steady`. Lengths are in units of `unit`; the result is in those of the user."""
     wanted = 0.25 * _PER_SLIP * distance / least
     cells = 4 * int(min(max(wanted, _COARSEST_GRID), _FINEST_GRID))
     x = distance * np.linspace(0.0, 1.0, cells + 1)
@@ -418,7 +419,9 @@ def _of_discrete(
     # between points a force rises by no more than the stiffness times their distance
     missed = abs(highest - rough) + profile.error * highest
     missed += float(x[1] * np.abs(profile.at(x[1:2])[1]).max())
-    ratio = Estimate(max(highest, level) / level, missed / level, 0)
+    level, error = known(steady), steady.stderr or 0.0
+    peak_ratio = max(highest, level) / level
+    ratio = Estimate(peak_ratio, (missed + peak_ratio * error) / level, 0)
     place = Estimate(X * unit, 2.0 * float(x[1]) * unit, 0)
     return FreshSlip(slip, place if known(slip) > 0.0 else NO_VALUE, ratio, slip)
 

@@ -9,6 +9,9 @@ from math import isnan, nan
 from pathlib import Path
 from typing import Any
 
+import pyarrow
+from pyarrow import parquet as pq
+
 from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.export import RENAMED_COLUMNS
@@ -125,8 +128,6 @@ def replay(
 
 def _replayed_table(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, Origin]:
     """The table of a file, and its provenance."""
-    import pyarrow
-    from pyarrow import parquet as pq
 
     if path.exists() and not path.is_file():  # a pipe or a device may never end
         raise InputError(f"{path}: is not a file")
@@ -210,7 +211,6 @@ def _validate(origin: Origin, _: Table, workers: int, progress: Progress) -> Tab
 def _sweep(origin: Origin, table: Table, workers: int, progress: Progress) -> Table:
     """Repeat a sweep with the stored identities of its points: seeds are made of them,
     and they change with the version of results."""
-    from pyarrow import parquet as pq
 
     settings = origin["settings"]
     plan = Plan(stored(settings["sweep"], origin["folder"]), table["id"].tolist())

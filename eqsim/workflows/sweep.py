@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pyarrow import parquet as pq
 
 from eqsim.errors import InputError, require_integer, shown
 from eqsim.io import terminal
@@ -85,7 +86,6 @@ def sweep(
     if grid is not None:
         base = _with_grid(base, grid)
     plan, asked = Plan(base), Asked(rel_error, max_lives, transient)
-    from pyarrow import parquet as pq
 
     bar = terminal.bar("sweeping", progress is not True, "points")
     kept = tempfile.TemporaryDirectory() if out is None else nullcontext(out)

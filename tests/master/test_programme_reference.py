@@ -703,3 +703,21 @@ def test_many_contacts_one_by_one(name):
     """As above with 25 times as many; a wrong error estimate of 1e-3 would show. False
     alarm 1e-3."""
     assert np.abs(scores(SCRIPTS[name], 500_000, 6)).max() < 4.5
+
+
+def test_errors_of_the_drag_are_in_those_of_the_force_and_its_variance():
+    """A drag that is off by its error moves both by no more than is quoted, and by half
+    of that or more somewhere."""
+    random, grid = np.random.default_rng(1), step(0.1, 0.2).grid(2)
+    points = grid.t.size
+    values = random.uniform(0.1, 0.9, (3, points))
+    drag, off = random.uniform(-2.0, 2.0, points), 1e-7
+    none = np.zeros((3, points))
+    given, moved = (
+        programme.with_drag(grid, values, none, x, off, 1.0, none[0])
+        for x in (drag, drag + off)
+    )
+    for name in ("force", "force_variance"):
+        change = abs(getattr(moved, name) - getattr(given, name))
+        share = change / getattr(given, f"{name}_error")
+        assert 0.5 < share.max() < 1.0 + 1e-5
