@@ -706,7 +706,7 @@ def test_half_as_many_lives_for_a_hundredth(monkeypatch):
     few, more = (steady(*point, rel_error=error) for error in (1e-2, 9e-3))
     assert few.lives == 2**15
     assert more.lives == 2**16
-    monkeypatch.setattr(module, "_DOMINANT", 1e-5)
+    monkeypatch.setattr(module, "_DOMINANT_SHARE", 1e-5)
     again = steady(*point, rel_error=1e-2)
     assert again.lives == few.lives + more.lives
     assert again.friction.value == more.friction.value
