@@ -61,7 +61,7 @@ def printed(label: str) -> str:
 
 
 def equation(label: str) -> str:
-    """How an equation is cited: "Eq. 21, nt08a"."""
+    """The citation of an equation: "Eq. 21, nt08a"."""
     return f"{printed(label)}, {label}"
 
 
@@ -73,5 +73,5 @@ def numbered(text: str) -> str:
 
 
 def figure(label: str) -> str:
-    """How a figure is cited: "A01 (Fig. 1)"."""
+    """The citation of a figure: "A01 (Fig. 1)"."""
     return f"{label} (Fig. {FIGURES[label]})"

@@ -57,7 +57,7 @@ class Sweep(NamedTuple):
 
     @property
     def fractions(self) -> bool:
-        """Whether stretches of the newborn are fractions of their thresholds."""
+        """True if stretches of the newborn are fractions of their thresholds."""
         return self.file is not None and self.file["newborn.of"] == "threshold"
 
     @property

@@ -162,7 +162,7 @@ class SimulatedFile(FileResult, Listed):
         return tables
 
     def made(self) -> dict[str, Any]:
-        """How it was computed, for JSON."""
+        """Lives, time, threads, seed and versions, for JSON."""
         names = ("lives", "engine_seconds", "threads", "seed")
         how = {name: getattr(self.trajectory, name) for name in names}
         return {**how, "versions": storage.versions()}
