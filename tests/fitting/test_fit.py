@@ -1,6 +1,7 @@
 """`eqsim fit` on tables of steady observables: what it says, what it refuses, and that
 its intervals are right."""
 
+import itertools
 import json
 import math
 import os
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from cases import chosen
 from scipy import stats
 from typer.testing import CliRunner
 
@@ -433,28 +435,30 @@ def test_symmetries_are_refused_by_name(tmp_path, name):
     assert prepare(file, None, True).warnings
 
 
-@pytest.mark.parametrize("kind", [0, 1], ids=["length", "energy"])
-@pytest.mark.parametrize(
-    "more",
-    [
-        {},
-        {"aging": {"rule": "flow", "rate": 0.3, "x_star_final": 2.0}},
-        {"newborn": {"law": "exponential", "mean": 0.2}},
-    ],
-    ids=["none", "aging", "newborn"],
+SYMMETRIC = {
+    "none": {},
+    "aging": {"aging": {"rule": "flow", "rate": 0.3, "x_star_final": 2.0}},
+    "newborn": {"newborn": {"law": "exponential", "mean": 0.2}},
+}
+
+
+@chosen(
+    ("kind", "more"),
+    [*itertools.product((0, 1), SYMMETRIC)],
+    [(0, "none"), (1, "none"), (0, "aging"), (0, "newborn")],
 )
 def test_symmetries_leave_every_prediction(kind, more):
     """Measured friction of contacts with a delay and drag, annealed and quenched, to
     1e-9; but not if one key stays behind (negative control)."""
     for disorder in ("annealed", "quenched"):
         content = {
-            "disorder": disorder if "aging" not in more else "annealed",
+            "disorder": disorder if more != "aging" else "annealed",
             "thermal": {"kT": 0.1, "attempt_frequency": 2.0},
             "thresholds": {"n": 0.5, "x_star": 1.5},
             "contacts": {"stiffness": 3.0},
             "delay": {"time": 0.4},
             "viscosity": {"eta": 0.7},
-            **more,
+            **SYMMETRIC[more],
         }
         file = check(content)
 
