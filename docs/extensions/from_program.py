@@ -40,7 +40,7 @@ KINDS = {float: "number", int: "whole number", bool: "`true`, `false`", str: "te
 
 
 def allowed(name: str, key: Key) -> str:
-    """What a key may be."""
+    """The values that a key may have, in Markdown."""
     choices = CHOICES.get(name) or [
         choice
         for kind in parts(key.annotation)

@@ -223,7 +223,7 @@ def stability(
     drive: Programme,
     *,
     critical: bool | None = None,
-    progress: Callable[[int, float], None] = lambda *_: None,
+    progress: kicks.Told = lambda *_: None,
 ) -> Stability:
     """Decide whether a slider slides steadily behind a spring (derived).
 
@@ -273,7 +273,7 @@ def stability(
 
 
 def critical_stiffness(
-    pulled: SteadyPull, progress: Callable[[int, float], None] = lambda *_: None
+    pulled: SteadyPull, progress: kicks.Told = lambda *_: None
 ) -> Estimate:
     """kappa_s below which steady sliding is unstable; 0 where it never is. Raises
     InputError."""
@@ -294,7 +294,7 @@ def border(
     velocities: Sequence[float],
     *,
     critical: bool = True,
-    progress: Callable[[int, float], None] = lambda *_: None,
+    progress: kicks.Told = lambda *_: None,
 ) -> dict[str, Array]:
     """Critical stiffnesses at velocities of the stage, of steady sliding only if
     `critical`, and of a fresh start, by column, with errors; NaN where there is none.
@@ -313,7 +313,7 @@ def border(
     return dict(zip(names, np.array(rows, float).reshape(-1, 5).T, strict=True))
 
 
-def _mode(pulled: SteadyPull, progress: Callable[[int, float], None]) -> Mode:
+def _mode(pulled: SteadyPull, progress: kicks.Told) -> Mode:
     """The slowest perturbation of steady sliding."""
     if pulled.method == NEUTRAL:
         return Mode(Estimate(0.0, 0.0, 0), NO_VALUE)

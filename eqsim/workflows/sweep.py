@@ -2,7 +2,6 @@
 
 import tempfile
 import warnings
-from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +17,7 @@ from eqsim.sweeps import scheduler
 from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked
 from eqsim.sweeps.workers import Workers
-
-Progress = Callable[[int, float], None]
+from eqsim.workflows.report import Progress
 
 
 def sweep(

@@ -17,6 +17,7 @@ import numpy as np
 import psutil
 import pyarrow.parquet as pq
 import pytest
+from command_line import call
 from typer.testing import CliRunner
 from waiting import once
 
@@ -51,10 +52,6 @@ def run_file(tmp_path):
     path.parent.mkdir()
     path.write_text(RUN)
     return path
-
-
-def call(*args):
-    return CliRunner().invoke(app, [str(arg) for arg in args])
 
 
 def tree(folder):

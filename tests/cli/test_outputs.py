@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.stats
-from typer.testing import CliRunner
+from command_line import call
 
 from eqsim import (
     Aging,
@@ -24,17 +24,12 @@ from eqsim import (
     breaks,
     trajectory,
 )
-from eqsim.cli.app import app
 from eqsim.engine.breaks import MOST_BREAKS
 from eqsim.io.runfile import check, keys
 from eqsim.workflows.fluctuations import run_fluctuations
 
 DRIVE = Drive(0.1, 12.0)
 RUN = "[contacts]\ncount = 60\n[drive]\nvelocity = 0.1\ndistance = 8.0\n[output]\npoints = 41\nreplicas = 3\n"
-
-
-def call(*args):
-    return CliRunner().invoke(app, [str(arg) for arg in args])
 
 
 # --------------------------------------------------------------------------------------------------------

@@ -5,11 +5,10 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import call
 from scipy import signal
-from typer.testing import CliRunner
 
 from eqsim import Programme, Segment, Thermal, load
-from eqsim.cli.app import app
 from eqsim.engine.records import extreme, velocity_step
 from eqsim.master.transient import transient
 from eqsim.model.ensemble import Ensemble
@@ -42,10 +41,6 @@ def path(tmp_path):
     file = tmp_path / "run.toml"
     file.write_text(RUN_FILE)
     return file
-
-
-def call(*arguments):
-    return CliRunner().invoke(app, [str(part) for part in arguments])
 
 
 def test_run_and_replay(path, tmp_path):

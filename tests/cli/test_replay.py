@@ -10,9 +10,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
+from command_line import call
 
-from eqsim.cli.app import app
 from eqsim.workflows.replay import compare
 
 RUN = """
@@ -38,10 +37,6 @@ replicas = 2
 [sweep]
 "drive.velocity" = [0.1, 1.0]
 """
-
-
-def call(*args):
-    return CliRunner().invoke(app, [str(arg) for arg in args])
 
 
 @pytest.fixture(scope="module")

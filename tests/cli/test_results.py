@@ -12,7 +12,7 @@ import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
+from command_line import call
 
 import eqsim
 from eqsim import (
@@ -37,7 +37,6 @@ from eqsim import (
     trajectory,
     transient,
 )
-from eqsim.cli.app import app
 from eqsim.estimate import difference
 
 matplotlib.use("Agg")
@@ -45,10 +44,6 @@ WARM = Ensemble(thermal=Thermal(0.1), count=500)
 DRIVE = Drive(0.1, 10.0)
 FUNCTIONS = [name for name in eqsim.__all__ if inspect.isfunction(getattr(eqsim, name))]
 CLASSES = [name for name in eqsim.__all__ if inspect.isclass(getattr(eqsim, name))]
-
-
-def call(*args):
-    return CliRunner().invoke(app, [str(arg) for arg in args])
 
 
 # ------------------------------------------------------------------------------------------------------

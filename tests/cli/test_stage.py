@@ -7,10 +7,9 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
+from command_line import call
 
 from eqsim import Delay, Ensemble, Programme, Segment, Stage, trajectory
-from eqsim.cli.app import app
 from eqsim.engine.records import _mean_over, slips_of
 from eqsim.errors import InputError
 from eqsim.io.runfile import check
@@ -39,12 +38,8 @@ def path(tmp_path):
     return file
 
 
-def eqsim(*arguments):
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-
 def test_run_and_replay(path, tmp_path):
-    done = eqsim("run", path, "--out", tmp_path / "out", "--json")
+    done = call("run", path, "--out", tmp_path / "out", "--json")
     assert done.exit_code == 0, done.output
     summary = json.loads(done.stdout)
     table = pd.read_parquet(tmp_path / "out" / "trajectory.parquet")
@@ -70,25 +65,25 @@ def test_run_and_replay(path, tmp_path):
         np.mean([slip["drop"] for slip in slips[1:]]), rel=1e-12, abs=0
     )
     assert (tmp_path / "out" / "force.png").stat().st_size > 20_000
-    again = eqsim("replay", tmp_path / "out" / "trajectory.parquet")
+    again = call("replay", tmp_path / "out" / "trajectory.parquet")
     assert again.exit_code == 0, again.output
-    shown = eqsim("run", path, "--out", tmp_path / "again")
+    shown = call("run", path, "--out", tmp_path / "again")
     assert f"{len(slips)} slips" in shown.output
 
 
 def test_avalanches(path, tmp_path):
     quasi_static = ["--set", "delay.time=0", "--set", "drive.stage.damping=0"]
-    done = eqsim("run", path, "--out", tmp_path / "out", *quasi_static)
+    done = call("run", path, "--out", tmp_path / "out", *quasi_static)
     assert done.exit_code == 0, done.output
     table = pq.read_table(tmp_path / "out" / "avalanches.parquet").to_pandas()
     assert list(table) == ["t", "X", "breaks", "drop", "distance", "replica"]
     assert table["breaks"].sum() > 3_000
     assert np.all(np.diff(table["t"]) >= 0)
-    assert eqsim("replay", tmp_path / "out" / "avalanches.parquet").exit_code == 0
+    assert call("replay", tmp_path / "out" / "avalanches.parquet").exit_code == 0
 
 
 def test_reference_is_the_mean_field(path):
-    done = eqsim(
+    done = call(
         "reference",
         path,
         "--transient",
@@ -117,7 +112,7 @@ def test_reference_is_the_mean_field(path):
 @pytest.mark.verification
 def test_sweep(path, tmp_path):
     path.write_text(FILE + '[sweep]\n"drive.stage.stiffness" = [0.1, 0.5]\n')
-    done = eqsim("sweep", path, "--out", tmp_path / "out", "--workers", "1")
+    done = call("sweep", path, "--out", tmp_path / "out", "--workers", "1")
     assert done.exit_code == 0, done.output
     table = pd.read_parquet(tmp_path / "out" / "sweep.parquet")
     soft, stiff = table.sort_values("drive.stage.stiffness").to_dict("records")
@@ -162,7 +157,7 @@ def test_refused(section, said, tmp_path):
 )
 def test_refused_by_run(path, tmp_path, changes, said):
     sets = [part for change in changes for part in ("--set", change)]
-    done = eqsim("run", path, "--out", tmp_path / "out", *sets)
+    done = call("run", path, "--out", tmp_path / "out", *sets)
     assert done.exit_code == 2
     assert said in done.output.replace("\n", " ")
     assert not (tmp_path / "out").exists()
@@ -170,7 +165,7 @@ def test_refused_by_run(path, tmp_path, changes, said):
 
 @pytest.mark.parametrize("command", ["steady", "reference"])
 def test_no_steady_state(path, command):
-    done = eqsim(command, path)
+    done = call(command, path)
     assert done.exit_code == 2
     assert (
         "drive.stage: a slider that a spring pulls has no steady state"
@@ -251,7 +246,7 @@ def test_a_slip_that_is_not_over_is_listed(path, tmp_path):
         "--set",
         f"drive.distance={0.1 * time}",
     )
-    done = eqsim("run", path, "--out", tmp_path / "out", *arguments)
+    done = call("run", path, "--out", tmp_path / "out", *arguments)
     assert done.exit_code == 0, done.output
     first, last = json.loads((tmp_path / "out" / "summary.json").read_text())["slips"]
     assert (first["begun"], first["ended"], last["begun"], last["ended"]) == (
@@ -279,7 +274,7 @@ def test_the_exact_peak_is_where_the_slider_is(path, tmp_path):
         "drive.stage.stiffness=0.5",
         "output.points=81",
     )
-    done = eqsim(
+    done = call(
         "run",
         path,
         "--out",

@@ -12,10 +12,10 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import call
 from kernels import compiled
 from scipy import special, stats
 from test_slider import busy_period
-from typer.testing import CliRunner
 
 from eqsim import (
     Delta,
@@ -35,7 +35,6 @@ from eqsim import (
     transient,
     z_score,
 )
-from eqsim.cli.app import app
 from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import draw_birth
 from eqsim.errors import InputError
@@ -519,16 +518,12 @@ def path(tmp_path):
     return file
 
 
-def eqsim(*arguments):
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-
 @pytest.mark.parametrize(
     "blocks", ["32", pytest.param("[8,4]", marks=pytest.mark.verification)]
 )
 def test_run_and_replay(path, tmp_path, blocks):
     out = tmp_path / "out"
-    done = eqsim(
+    done = call(
         "run",
         path,
         "--out",
@@ -580,12 +575,12 @@ def test_run_and_replay(path, tmp_path, blocks):
     for name in ("force", "avalanches", "fronts"):
         assert (out / f"{name}.png").stat().st_size > 20_000
     for name in ("trajectory", "avalanches", "blocks"):
-        again = eqsim("replay", out / f"{name}.parquet", "--threads", "1")
+        again = call("replay", out / f"{name}.parquet", "--threads", "1")
         assert again.exit_code == 0, again.output
 
 
 def test_table_and_replicas(path, tmp_path):
-    done = eqsim(
+    done = call(
         "run",
         path,
         "--out",
@@ -605,7 +600,7 @@ def test_table_and_replicas(path, tmp_path):
 
 
 def test_nothing_breaks(path, tmp_path):
-    nothing = eqsim(
+    nothing = call(
         "run",
         path,
         "--out",
@@ -621,7 +616,7 @@ def test_nothing_breaks(path, tmp_path):
 
 
 def test_info(path):
-    done = eqsim("info", path, "--json")
+    done = call("info", path, "--json")
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)
     assert (
@@ -642,7 +637,7 @@ def test_info(path):
 @pytest.mark.verification
 def test_sweep(path, tmp_path):
     path.write_text(FILE + '[sweep]\n"elastic.coupling" = [0.0, 2.0]\n')
-    done = eqsim("sweep", path, "--out", tmp_path / "out", "--workers", "1")
+    done = call("sweep", path, "--out", tmp_path / "out", "--workers", "1")
     assert done.exit_code == 0, done.output
     table = pd.read_parquet(tmp_path / "out" / "sweep.parquet")
     assert table["elastic.coupling"].tolist() == [0.0, 2.0]
@@ -652,7 +647,7 @@ def test_sweep(path, tmp_path):
     )  # n = 100 is not infinite
     assert set(table["size_reference"]) == {3.0}
     assert (
-        eqsim("replay", tmp_path / "out" / "sweep.parquet", "--threads", "1").exit_code
+        call("replay", tmp_path / "out" / "sweep.parquet", "--threads", "1").exit_code
         == 0
     )
 
@@ -662,7 +657,7 @@ def test_sweeps_of_sheets_are_refused(path, tmp_path):
         FILE.replace("blocks = 32", "blocks = [8, 4]")
         + '[sweep]\n"elastic.coupling" = [0.0, 2.0]\n'
     )
-    refused = eqsim("sweep", path, "--out", tmp_path / "sheet", "--workers", "1")
+    refused = call("sweep", path, "--out", tmp_path / "sheet", "--workers", "1")
     assert refused.exit_code == 2
     assert (
         "elastic.blocks = [8, 4]: a sweep has a column for chains only"
@@ -723,7 +718,7 @@ def test_sweeps_of_sheets_are_refused(path, tmp_path):
     ],
 )
 def test_refused(path, tmp_path, change, said):
-    done = eqsim("run", path, "--out", tmp_path / "out", "--set", change)
+    done = call("run", path, "--out", tmp_path / "out", "--set", change)
     assert done.exit_code == 2
     assert done.stderr.count("\n") == 1
     assert said in done.stderr
@@ -741,7 +736,7 @@ def test_refused(path, tmp_path, change, said):
     ],
 )
 def test_commands_for_a_rigid_slider_refuse(path, command):
-    done = eqsim(*command[:1], path, *command[1:])
+    done = call(*command[:1], path, *command[1:])
     assert done.exit_code == 2
     assert done.stderr.count("\n") == 1
 
@@ -766,7 +761,7 @@ def test_python_refuses():
 
 
 def test_a_stage_and_workers_are_refused(path, tmp_path):
-    done = eqsim("run", path, "--out", tmp_path / "out", "--workers", "2")
+    done = call("run", path, "--out", tmp_path / "out", "--workers", "2")
     assert done.exit_code == 2
     assert "coupled blocks are simulated in one process" in done.stderr
     programme = [{"velocity": 1.0, "distance": 1.0}]
@@ -786,9 +781,9 @@ def test_elastic_length_of_materials():
     assert OCTAMETHYLCYCLOTETRASILOXANE.elastic_length is None
     assert (
         "a^2 E/k = 0.42 a: the rigid slider is doubtful already between neighbours"
-        in " ".join(eqsim("material", "steel").stdout.replace("│", " ").split())
+        in " ".join(call("material", "steel").stdout.replace("│", " ").split())
     )
     assert (
         "E of the walls is not given"
-        in eqsim("material", "octamethylcyclotetrasiloxane").stdout
+        in call("material", "octamethylcyclotetrasiloxane").stdout
     )

@@ -294,8 +294,8 @@ MEAN_FIELD = {
 @pytest.mark.parametrize("stiffness", [-0.5, 1e-9, 1.0, 20.0])
 @pytest.mark.parametrize("dt", [1e-3, 0.1, 0.5])
 def test_motion_in_a_step(mass, stiffness, dt):
-    """By the exponential of a matrix: to 1e-3 of the displacement, to 1e-4 without a
-    mass, whatever the stiffness."""
+    """The step against the exponential of a matrix: to 1e-3 of the displacement, to
+    1e-4 without a mass, whatever the stiffness."""
     y = np.array([0.0, 0.5, 0.7, 1.3])
     row = [-stiffness, -0.1, 1.0, 0.0] if mass else [0.0] * 4
     first = [0, 1, 0, 0] if mass else [-stiffness / 0.1, 0.0, 10.0, 0.0]

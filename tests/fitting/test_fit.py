@@ -14,12 +14,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from cases import chosen
+from command_line import call
 from scipy import stats
-from typer.testing import CliRunner
 
 import eqsim
 from eqsim import Ensemble, Gamma, InputError, Thermal
-from eqsim.cli.app import app
 from eqsim.fitting import estimate, profiles, report, symmetry
 from eqsim.fitting.data import read_table
 from eqsim.fitting.estimate import Minimum, covariance, ladder, minimise, starts
@@ -69,10 +68,6 @@ def folder(tmp_path):
     )
     (tmp_path / "run.toml").write_text(RUN)
     return tmp_path
-
-
-def call(*args):
-    return CliRunner().invoke(app, [str(arg) for arg in args])
 
 
 def test_command(folder):

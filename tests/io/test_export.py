@@ -7,10 +7,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
+from command_line import call
 
 from eqsim import load, sweep
-from eqsim.cli.app import app
 from eqsim.fitting.record import read_record
 from eqsim.fitting.section import section_of
 from eqsim.io import csv
@@ -29,10 +28,6 @@ points = 11
 [sweep]
 "drive.velocity" = [0.1, 1.0]
 """
-
-
-def call(*args):
-    return CliRunner().invoke(app, [str(arg) for arg in args])
 
 
 @pytest.fixture(scope="module")

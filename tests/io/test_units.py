@@ -6,12 +6,11 @@ import math
 from pathlib import Path
 
 import pytest
+from command_line import call
 from scipy import constants
-from typer.testing import CliRunner
 
 from eqsim import Ensemble, Estimate, catalogue, load
 from eqsim.catalogue import Dimension
-from eqsim.cli.app import app
 from eqsim.errors import InputError
 from eqsim.fitting.report import to_toml
 from eqsim.io.runfile import at, parameters
@@ -48,10 +47,6 @@ def run_file(tmp_path):
     path = tmp_path / "film.toml"
     path.write_text(RUN)
     return path
-
-
-def call(*args):
-    return CliRunner().invoke(app, [str(arg) for arg in args])
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cases import chosen
+from command_line import call
 from scipy import integrate, special, stats
-from typer.testing import CliRunner
 
 from eqsim import (
     Aging,
@@ -31,7 +31,6 @@ from eqsim import (
     trajectory,
     transient,
 )
-from eqsim.cli.app import app
 from eqsim.laws.named import Lognormal, Pareto, Uniform
 from eqsim.master import characteristic, kicks
 from eqsim.master.stability import border, critical_stiffness, pulled_by
@@ -592,7 +591,7 @@ damping = 0.1
 
 def command(*arguments):
     """Exit code, standard output and error of `eqsim`."""
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    done = call(*arguments)
     return done.exit_code, done.stdout, done.stderr
 
 

@@ -8,6 +8,7 @@ import matplotlib
 import matplotlib.colors
 import numpy as np
 import pytest
+from command_line import call
 from typer.testing import CliRunner
 
 from eqsim import load
@@ -45,10 +46,6 @@ def run_file(tmp_path):
 
 
 SHORT = ("--set", "drive.distance=5.0", "--set", "output.points=21")
-
-
-def call(*args):
-    return CliRunner().invoke(app, [str(arg) for arg in args])
 
 
 def simulated(path, changes=None):

@@ -21,11 +21,10 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from command_line import call
 from rows import BASIC
-from typer.testing import CliRunner
 
 from eqsim import InputError, load, reference, steady
-from eqsim.cli.app import app
 from eqsim.engine.trajectory import check_run
 from eqsim.io.runfile import keys
 from eqsim.io.tables import read_thresholds
@@ -825,10 +824,6 @@ def test_many_axes(tmp_path):
 # ---- places and disks ----
 
 GOOD = "[contacts]\ncount = 100\n[drive]\nvelocity = 1.0\ndistance = 2.0\n[output]\npoints = 11\n"
-
-
-def call(*args):
-    return CliRunner().invoke(app, [str(arg) for arg in args])
 
 
 def refused(result, path):
