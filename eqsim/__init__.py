@@ -25,6 +25,7 @@ else:
         public = {} if private else vars(import_module("eqsim.api"))
         if name not in ("__all__", *public.get("__all__", ())):
             raise AttributeError(f"module 'eqsim' has no attribute {name!r}")
+        globals()[name] = public[name]  # the next time Python finds it at once
         return public[name]
 
     def __dir__():
