@@ -29,10 +29,12 @@ from eqsim.laws.named import Exponential, Lognormal, Normal, Pareto, Uniform, We
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
+from eqsim.master import bursts as _bursts
 from eqsim.master import closure as _closure
 from eqsim.master import stability as _stability
 from eqsim.master import steady as _exact
 from eqsim.master import transient as _transient
+from eqsim.master.bursts import Bursts
 from eqsim.master.closure import Closure
 from eqsim.master.stability import FreshSlip, Stability
 from eqsim.master.steady import Curve, Reference
@@ -50,6 +52,7 @@ __all__ = [
     "OBSERVABLES",
     "Aging",
     "Breaks",
+    "Bursts",
     "Closure",
     "Curve",
     "Delay",
@@ -93,6 +96,7 @@ __all__ = [
     "Validation",
     "Weibull",
     "breaks",
+    "bursts",
     "closure",
     "curve",
     "elastic_trajectory",
@@ -115,6 +119,7 @@ __all__ = [
 
 # these take a run file, too, in the place of contacts and a drive
 breaks = calls.accepts_run_file(_breaks.breaks)
+bursts = calls.accepts_run_file(_bursts.bursts, calls.many_sizes, output=())
 closure = calls.accepts_run_file(_closure.closure)
 curve: calls.CurveCall = cast(
     Any, calls.accepts_run_file(_exact.curve, calls.swept_velocities)
