@@ -77,6 +77,10 @@ _OTHERS = {
     "thresholds.quantity": Key(str, Literal["stretch", "force"] | None, None),
     "thermal.temperature": _NUMBER,  # kelvin, instead of kT
     "drive.velocity": _NUMBER,
+    "drive.force": _NUMBER,
+    "drive.force_rate": _NUMBER,
+    "drive.time": _NUMBER,
+    "drive.stall_force": _NUMBER,
     "drive.file": _TEXT,
     "drive.programme.velocity": _NUMBER,
     "drive.programme.hold": _NUMBER,  # the time of a segment that does not move

@@ -16,6 +16,9 @@ energy in units of kT. What a key of a run file is called afterwards, and where:
     drive.stage.damping        damping   eta_s v/x_*            `Pull`
     drive.stage.mass           mass      m v^2/x_*^2            `Pull`
     drive.velocity             pace      of a segment           `Leg`
+    drive.force                forces    f/x_*                  `Pull`
+    drive.force_rate           rates     f'/v                   `Pull`
+    drive.stall_force          stall     s/x_*                  `Pull`
     output.seed                key       words of a stream      `numerics.streams.key`
 
 At constant velocity v is a part of log_w, alpha, per_time, mean and drag only. Other
@@ -179,8 +182,12 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
 
 
 class Pull(NamedTuple):
-    """A stage, its spring and the slider in dimensionless numbers: time is displacement
-    at `pace` (length/time).
+    """What pulls a slider, in dimensionless numbers: time is displacement at `pace`
+    (length/time). It obeys
+
+        m X'' + c X' = kappa (Y - X) + f(t) - F
+
+    with the end of the spring at Y. Without a spring, kappa = 0.
 
     Attributes
     ----------
@@ -191,7 +198,13 @@ class Pull(NamedTuple):
     ends : sequence of float
         When segments end.
     speeds : sequence of float
-        Of the stage in each, in units of the pace.
+        Of the stage or of an unloaded motor in each, in units of the pace.
+    forces : sequence of float
+        f at the beginning of each; 0 without a force.
+    force_rates : sequence of float
+        Change of f per time in each.
+    stall : float
+        Stall force s of a motor, else infinite.
     """
 
     pace: float
@@ -200,16 +213,40 @@ class Pull(NamedTuple):
     mass: float
     ends: Sequence[float]
     speeds: Sequence[float]
+    forces: Sequence[float] = ()
+    force_rates: Sequence[float] = ()
+    stall: float = math.inf
+
+    @property
+    def motor(self) -> bool:
+        """True if a motor with a finite stall force drives."""
+        return self.stall < math.inf
 
 
 def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
-    """The stage of a programme. Raises InputError if it has none, or a number is out of
-    range."""
+    """What pulls the slider of a programme. Raises InputError if nothing does, or a
+    number is out of range."""
     stage, unit = programme.stage, ensemble.thresholds.scale
-    if stage is None:
+    if not programme.pulled:
         raise InputError("drive.stage: is required")
     pace = max(leg.pace for leg in legs(ensemble, programme))
-    damping, mass = stage.damping * pace / unit, stage.mass * (pace / unit) ** 2
+    stiffness = stage.stiffness if stage else 0.0
+    damping = stage.damping * pace / unit if stage else 0.0
+    mass = stage.mass * (pace / unit) ** 2 if stage else 0.0
+    force, forces, rates = 0.0, [], []
+    for segment in programme.segments:
+        force = force if segment.force is None else segment.force
+        forces.append(force / unit)
+        rates.append((segment.force_rate or 0.0) / pace)
+        force += (segment.force_rate or 0.0) * segment.duration
+    for name, value in (
+        ("force / threshold", max(map(abs, forces))),
+        ("force_rate / velocity", max(map(abs, rates))),
+    ):
+        require_number(name, value, least=0, most=1e100)
+    stall = programme.stall_force / unit
+    if stall != math.inf:
+        require_number("stall_force / threshold", stall, least=1e-100, most=1e100)
     with under("stage"):
         require_number("damping * velocity / threshold", damping, least=0, most=1e100)
         require_number("mass * velocity^2 / threshold^2", mass, least=0, most=1e100)
@@ -218,7 +255,17 @@ def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
         elapsed += segment.duration * pace / unit
         ends.append(elapsed)
     speeds = tuple(segment.velocity / pace for segment in programme.segments)
-    return Pull(pace, stage.stiffness, damping, mass, tuple(ends), speeds)
+    return Pull(
+        pace=pace,
+        stiffness=stiffness,
+        damping=damping,
+        mass=mass,
+        ends=tuple(ends),
+        speeds=speeds,
+        forces=tuple(forces),
+        force_rates=tuple(rates),
+        stall=stall,
+    )
 
 
 def births(
