@@ -498,8 +498,8 @@ MISTAKES = [
     M("symmetries: stiffness by one power of the length", "fitting/symmetry.py", "return length + time - force, force",
       "return length + time, force", "test_fit.py::test_symmetries_leave_every_prediction"),
     # master
-    M("master: drag of the pinned", "master/steady.py", "elastic + drag * (delay / cycle)",
-      "elastic + drag * (travel / cycle)",
+    M("master: drag of the pinned", "master/steady.py", "elastic + drag * detached",
+      "elastic + drag * pinned",
       "test_reference.py::test_transients_end_in_the_steady_state[ensemble2-0.05]"),
     M("many velocities: work of the sqrt law without later panels", "master/annealed.py",
       "stiff = (x * J + within) / self.contacts.rms", "stiff = x * J / self.contacts.rms",
