@@ -31,7 +31,7 @@ from scipy.interpolate import CubicSpline
 
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import known
-from eqsim.laws.delay import Fixed
+from eqsim.laws.delay import Exponential, Fixed
 from eqsim.master import programme, slider
 from eqsim.master.profile import Profile, profile_of
 from eqsim.master.programme import Transient as Transient
@@ -492,6 +492,11 @@ def _reborn(fresh: Array, x: Array, contacts: Reduced) -> tuple[Array, Array]:
         late = total(np.maximum(x - delay, 0.0))
         force = drag * np.maximum(1.0 - x / delay, 0.0) + (total(x) - late) / delay
         return drag * np.minimum(x, delay) + late, force
+    if not isinstance(contacts.delay, Exponential):
+        # y: fresh * P(delay > x)
+        left = contacts.delay.rest(x)
+        y = after(0.5 * (fresh[:-1] + fresh[1:]), -np.diff(left))
+        return drag * (delay - left) + total(x) - y, (drag * left + y) / delay
     # y' = (fresh - y)/delay, the mean force of those already pinned again, with fresh
     # linear in each cell
     ratio = x[1] / delay
