@@ -25,6 +25,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -39,6 +40,7 @@ from eqsim.estimate import Averages, Estimate, infinite, known
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
+from eqsim.model.mixture import mixed_averages
 from eqsim.model.reduced import bare, drag_of
 from eqsim.numerics.streams import name_of
 from eqsim.numerics.tables import Array
@@ -143,6 +145,21 @@ def steady(
     require_drive(drive)
     require_number("rel_error", rel_error, above=0)
     require_number("max_lives", max_lives, above=0)
+    if ensemble.populations:
+        options: dict[str, Any] = {"rel_error": rel_error, "threads": threads}
+        options |= {"max_lives": max_lives, "progress": progress, "plain": plain}
+        each = [
+            steady(kind.contacts, drive, seed=kind.seed(seed), **options)
+            for kind in ensemble.kinds
+        ]
+        return Steady(
+            **mixed_averages(ensemble.kinds, each, drive.velocity),
+            lives=sum(one.lives for one in each),
+            seed=seed,
+            engine_seconds=sum(one.engine_seconds for one in each),
+            reached=all(one.reached for one in each),
+            hidden=max(one.hidden for one in each),
+        )
     velocity, divergence = drive.velocity, ensemble.divergence
     rough = rough_stretch(ensemble, velocity)
     c = contacts(ensemble, velocity, rough)

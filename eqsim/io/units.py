@@ -266,7 +266,7 @@ def quantities(
     """
     if not interface and not units.force:
         return ()
-    k, count = ensemble.stiffness, ensemble.count
+    k, count = ensemble.mean_stiffness, ensemble.count
     force, density = interface.contacts(count) * k, interface.density(count)
     found = [Quantity("force", "F", force, units.label(FORCE))]
     if density is not None:

@@ -37,8 +37,9 @@ from eqsim.master.profile import Profile, profile_of
 from eqsim.master.programme import Transient as Transient
 from eqsim.master.quenched import integrals_beyond
 from eqsim.master.steady import reference, settled
-from eqsim.model.drive import Drive, Programme, require_drive
+from eqsim.model.drive import Drive, Programme, over_distance, require_drive
 from eqsim.model.ensemble import Ensemble
+from eqsim.model.mixture import summed
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.quadrature import extrapolated, largest_nearby
 from eqsim.numerics.tables import Array
@@ -62,6 +63,12 @@ _MISSED_IN_STEP = 0.3
 _CIRCLE = 6
 # Factor by which values are damped over one turn of the circle.
 _WRAPPED = 1e-13
+# How means, and bounds of their errors, are summed over kinds of contacts (`summed`).
+_BY_KIND = {
+    **dict.fromkeys(("force", "force_error"), "weight"),
+    **dict.fromkeys(("pinned", "pinned_error", "breaks"), "share"),
+    **dict.fromkeys(("force_variance", "force_variance_error"), "square"),
+}
 # A stretch beyond all.
 _EVERYTHING = np.array([1e90])
 
@@ -110,6 +117,11 @@ def transient(
     [0.0, 0.8579, 0.8727, 0.8897]
     """
     require_integer("points", points, 2, 10**8)
+    pulled = isinstance(drive, Programme) and drive.stage
+    if ensemble.populations and not pulled:
+        way, kinds = over_distance(drive, ensemble), ensemble.kinds
+        each = [transient(x.contacts, way, points, variance=variance) for x in kinds]
+        return replace(each[0], **summed(kinds, each, _BY_KIND))
     if isinstance(drive, Programme):
         grid = drive.grid(points)
         solve = slider.pulled_of if drive.stage else programme.means_along
@@ -423,6 +435,11 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     """
     require_drive(drive)
     require_integer("points", points, 2, 10**6)
+    if ensemble.populations:
+        way, kinds = over_distance(drive, ensemble), ensemble.kinds
+        each = [fluctuations(kind.contacts, way, points) for kind in kinds]
+        by = {"covariance": "square", "error": "square"}
+        return replace(each[0], **summed(kinds, each, by))
     s, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
     distance = drive.over(ensemble)
     if s.aging.stiffens and s.stiffness == "sqrt":

@@ -1,8 +1,8 @@
 """Drives of the slider, and the recording of a run."""
 
 import math
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -69,8 +69,17 @@ class Drive:
     def over(self, ensemble: Ensemble) -> float:
         """The distance, with its default filled in."""
         if self.distance is None:
-            return 200.0 * ensemble.thresholds.mean
+            kinds = ensemble.kinds
+            return 200.0 * max(kind.contacts.thresholds.mean for kind in kinds)
         return self.distance
+
+
+def over_distance(drive: "Drive | Programme", ensemble: Ensemble) -> Any:
+    """The drive with its default distance filled in, the same for all kinds of
+    contacts."""
+    if isinstance(drive, Programme):
+        return drive
+    return replace(drive, distance=drive.over(ensemble))
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,8 @@ from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps.rows import Task
 
 MOST_POINTS = 1_000_000
+# Beginnings of keys that only some run files have.
+_IN_FILES = ("drive.programme", "drive.stage", "population")
 
 
 class Plan:
@@ -139,7 +141,7 @@ def entries(
     which TOML reads as tables; a table is a value if it has one of the `leaves`."""
     above = {"fit", *(key.split(".")[0] for key in keys() if "." in key)}
     for key, value in table.items():
-        nested = key in above or key.startswith(("drive.programme", "drive.stage"))
+        nested = key in above or key.startswith(_IN_FILES)
         if nested and isinstance(value, dict) and not set(leaves) & value.keys():
             named = {f"{key}.{name}": part for name, part in value.items()}
             yield from entries(named, leaves)
@@ -213,11 +215,17 @@ def identity(point: RunFile, ensemble: Ensemble) -> str:
     file."""
     values = parameters(point)
     seed = values.pop("output.seed")
-    law = ensemble.thresholds
-    if isinstance(law, Table):
-        values["thresholds.file"] = hashlib.sha256(law.steps.tobytes()).hexdigest()
-    for name in ("column", "scale", "quantity"):
-        del values[f"thresholds.{name}"]
+    each = enumerate(ensemble.populations)
+    laws = {
+        "": ensemble.thresholds,
+        **{f"population.{i}.": x.thresholds for i, x in each},
+    }
+    for above, law in laws.items():
+        if isinstance(law, Table):
+            digest = hashlib.sha256(law.steps.tobytes()).hexdigest()
+            values[f"{above}thresholds.file"] = digest
+        for name in ("column", "scale", "quantity"):
+            del values[f"{above}thresholds.{name}"]
     text = json.dumps([values, seed, RESULTS_VERSION], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
