@@ -520,10 +520,11 @@ _PARAMETERS: dict[str, type] = {
     if key.kind in (float, int, str)
     and name != "title"
     and not name.startswith(
-        ("elastic.", "units.", "interface.", "population.")
-        + ("drive.programme.", "drive.stage.")
+        ("elastic.", "units.", "interface.", "drive.programme.", "drive.stage.")
     )
+    and not name.startswith("population.")
 }
+# Likewise of a population.
 _OF_POPULATION: dict[str, type] = {
     name.removeprefix("population."): key.kind
     for name, key in schema.KEYS.items()

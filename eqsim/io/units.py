@@ -296,7 +296,7 @@ def scales(ensemble: Ensemble, units: Units, interface: Interface) -> list[Group
         return Group(f"{name} ({units.label(dimension(of)) or of})", value, meaning)
 
     found = [group("x_*", "length", unit, "scale of thresholds, a length")]
-    stiffness = ensemble.stiffness
+    stiffness = ensemble.mean_stiffness
     found.append(group("k", "force/length", stiffness, "stiffness of a contact"))
     if kelvin is not None:
         said = "temperature, kT over the constant of Boltzmann"
