@@ -41,7 +41,7 @@ from eqsim.laws.aging.base import Held, growth, spend, stiffness_varies
 from eqsim.laws.barrier import Mechanical
 from eqsim.laws.stiffness import kappa
 from eqsim.model.drive import Programme
-from eqsim.model.ensemble import Ensemble, Kind
+from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of, pull_of
 from eqsim.model.slip import least_slip, width_of
 from eqsim.numerics.compiled import kernel, routine
@@ -93,8 +93,8 @@ class Sums(NamedTuple):
 
 
 # Powers in which stiffness and length enter the sums.
-_POWERS_OF_STIFFNESS = np.array(Sums(0, 1, 1, 2, 1, 1, 1, 2, 1, 0))
-_POWERS_OF_LENGTH = np.array(Sums(0, 0, 1, 2, 2, 1, 1, 2, 2, 0))
+_OF_STIFFNESS = np.array(Sums(0, 1, 1, 2, 1, 1, 1, 2, 1, 0))
+_OF_LENGTH = np.array(Sums(0, 0, 1, 2, 2, 1, 1, 2, 2, 0))
 _SUMS = np.dtype([(name, np.float64) for name in Sums._fields])
 
 
@@ -279,32 +279,14 @@ def _relaxed(
     return dt / damping * (net * first + gain * dt * second)
 
 
-class Group(NamedTuple):
+class Followed(NamedTuple):
     """The contacts of one kind. Stretches and time are in units of their own law."""
 
     laws: Contacts
     key: Key
     first: int  # number of the first contact
     population: Array  # records of type `CONTACT`
-    sums: Array  # of blocks, records of type `_SUMS`
     unit: float  # of length, over that of the ensemble
-    factors: Array  # that turn sums into those of the ensemble's units
-
-    @classmethod
-    def of(
-        cls, kind: Kind, ensemble: Ensemble, pace: float, seed: int, replica: int
-    ) -> "Group":
-        """The contacts of a replica, before their first step."""
-        count = kind.contacts.count
-        unit = kind.contacts.thresholds.scale / ensemble.thresholds.scale
-        k = kind.contacts.stiffness / ensemble.mean_stiffness
-        laws, key = contacts(kind.contacts, pace), key_of(kind.seed(seed), TRAJECTORY)
-        population, sums = (
-            np.zeros(count, CONTACT),
-            np.zeros(-(-count // _BLOCK), _SUMS),
-        )
-        factors = k**_POWERS_OF_STIFFNESS * unit**_POWERS_OF_LENGTH
-        return cls(laws, key, replica * count, population, sums, unit, factors)
 
 
 class Slider:
@@ -328,31 +310,42 @@ class Slider:
         pace = self.pull.pace
         self.drag = drag_of(ensemble, pace)
         self.count = ensemble.count
-        self.groups = [
-            Group.of(kind, ensemble, pace, seed, replica) for kind in ensemble.kinds
-        ]
-        blocks = sum(group.sums.size for group in self.groups)
-        threads = max(1, min(threads, blocks // _BLOCKS_PER_THREAD))
+        self.groups: list[Followed] = []
+        factors = []  # that turn sums over each block into the ensemble's units
+        blocks = []
+        for kind in ensemble.kinds:
+            alone, key = kind.contacts, key_of(kind.seed(seed), TRAJECTORY)
+            population = np.zeros(alone.count, CONTACT)
+            size = alone.thresholds.scale / unit
+            first = replica * alone.count
+            group = Followed(contacts(alone, pace), key, first, population, size)
+            k = alone.stiffness / ensemble.mean_stiffness
+            blocks.append(-(-alone.count // _BLOCK))
+            factors += blocks[-1] * [k**_OF_STIFFNESS * size**_OF_LENGTH]
+            self.groups.append(group)
+        self.factors = np.array(factors)
+        self.block_sums = np.zeros_like(self.factors)
+        records = self.block_sums.view(_SUMS)[:, 0]
+        threads = max(1, min(threads, records.size // _BLOCKS_PER_THREAD))
         self.pool = ThreadPool(threads - 1) if threads > 1 else None
-        # Arguments of `advance` for each group and thread, with the group's number.
+        # A group, and arguments of `advance` for a thread.
         self.shares = []
-        for number, group in enumerate(self.groups):
-            ends = (np.arange(threads + 1) * group.sums.size // threads).tolist()
+        of_groups = np.split(records, np.cumsum(blocks)[:-1])
+        for group, sums_of in zip(self.groups, of_groups, strict=True):
+            ends = (np.arange(threads + 1) * sums_of.size // threads).tolist()
             for begin, end in pairwise(ends):
                 part = group.population[begin * _BLOCK : end * _BLOCK]
                 first = group.first + begin * _BLOCK
-                self.shares.append((number, first, part, group.sums[begin:end]))
+                self.shares.append((group, first, part, sums_of[begin:end]))
         laws = [kind.contacts.thresholds for kind in ensemble.kinds]
         self.least_slip = min(map(least_slip, laws)) / unit
         width = min(map(width_of, laws))
         self.longest = longer * math.sqrt(stage.tolerance) * width / unit
         mean = min(law.mean for law in laws)
         self.tolerance = longer**2 * stage.tolerance * mean / unit
-        self.waits = not all(
-            isinstance(group.laws.barrier, Mechanical)
-            and isinstance(group.laws.aging, Unaged)
-            for group in self.groups
-        )
+        barriers = [isinstance(x.laws.barrier, Mechanical) for x in self.groups]
+        unaged = [isinstance(x.laws.aging, Unaged) for x in self.groups]
+        self.waits = not all(barriers + unaged)
         self.acceleration = 0.0
         self.behind = Behind()
         self.breaks = BreakRates(0.1 * self.longest)
@@ -379,7 +372,9 @@ class Slider:
             and self.pull.stiffness * stretch >= sums.force * (1.0 - 1e-12)
         )
 
-    def _begin_stationary(self, group: Group, before: Contacts, speed: float) -> None:
+    def _begin_stationary(
+        self, group: Followed, before: Contacts, speed: float
+    ) -> None:
         """Put contacts into the steady state of a speed, at which their laws are
         `before`."""
         law = stationary(before)
@@ -406,28 +401,18 @@ class Slider:
 
     def _follow(self, piece: Piece) -> Sums:
         """Follow all contacts along a piece. Returns sums divided by their number."""
-        for group in self.groups:
-            group.sums.fill(0.0)
-        moved = [
-            (
-                group.laws,
-                piece._replace(duration=piece.duration / group.unit),
-                group.key,
-            )
-            for group in self.groups
+        self.block_sums.fill(0.0)
+        mine, *others = [
+            (x.laws, piece._replace(duration=piece.duration / x.unit), x.key, *share)
+            for x, *share in self.shares
         ]
-        mine, *others = [(*moved[number], *rest) for number, *rest in self.shares]
         pool = self.pool
         waiting = [pool.submit(advance, *other) for other in others if pool]
         for share in (mine,) if pool else (mine, *others):
             advance(*share)
         for waited in waiting:
             waited.result()
-        of_blocks = [
-            group.sums.view(float).reshape(-1, group.factors.size) * group.factors
-            for group in self.groups
-        ]
-        total = np.concatenate(of_blocks).sum(axis=0)
+        total = (self.block_sums * self.factors).sum(axis=0)
         return Sums(*(total / self.count).tolist())
 
     @property

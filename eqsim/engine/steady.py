@@ -40,7 +40,7 @@ from eqsim.estimate import Averages, Estimate, infinite, known
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.mixture import mixed_averages
+from eqsim.model.mixture import mixed_averages, summed
 from eqsim.model.reduced import bare, drag_of
 from eqsim.numerics.streams import name_of
 from eqsim.numerics.tables import Array
@@ -146,20 +146,14 @@ def steady(
     require_number("rel_error", rel_error, above=0)
     require_number("max_lives", max_lives, above=0)
     if ensemble.populations:
-        options: dict[str, Any] = {"rel_error": rel_error, "threads": threads}
-        options |= {"max_lives": max_lives, "progress": progress, "plain": plain}
-        each = [
-            steady(kind.contacts, drive, seed=kind.seed(seed), **options)
-            for kind in ensemble.kinds
-        ]
-        return Steady(
-            **mixed_averages(ensemble.kinds, each, drive.velocity),
-            lives=sum(one.lives for one in each),
-            seed=seed,
-            engine_seconds=sum(one.engine_seconds for one in each),
-            reached=all(one.reached for one in each),
-            hidden=max(one.hidden for one in each),
-        )
+        options: Any = {"rel_error": rel_error, "threads": threads, "plain": plain}
+        options |= {"max_lives": max_lives, "progress": progress}
+        kinds = ensemble.kinds
+        each = [steady(x.contacts, drive, seed=x.seed(seed), **options) for x in kinds]
+        mixed = mixed_averages(kinds, each, drive.velocity)
+        hidden = max(found.hidden for found in each)
+        total: Steady = summed(kinds, each, **mixed, seed=seed, hidden=hidden)
+        return total
     velocity, divergence = drive.velocity, ensemble.divergence
     rough = rough_stretch(ensemble, velocity)
     c = contacts(ensemble, velocity, rough)

@@ -231,42 +231,29 @@ def _of_kinds(
     threads: Threads,
     progress: Progress,
 ) -> Trajectory | ProgrammeTrajectory:
-    """Simulate one kind of contacts after the other, and sum over kinds. Errors, of
-    independent contacts, add up in quadrature."""
-    way, kinds, lives = over_distance(drive, ensemble), ensemble.kinds, 0
-    runs: list[Any] = []
+    """Simulate one kind of contacts after the other, and sum over kinds."""
+    way, kinds, runs = over_distance(drive, ensemble), ensemble.kinds, list[Any]()
     for kind in kinds:
-        more = {"seed": kind.seed(output.seed), "replicas": output.replicas}
+        before = sum(run.lives for run in runs)
         run = trajectory(
             kind.contacts,
             way,
             points=output.points,
-            **more,
+            seed=kind.seed(output.seed),
+            replicas=output.replicas,
             threads=threads,
             max_lives=math.inf,
-            progress=lambda done, before=lives: progress(before + done),
+            progress=lambda done, before=before: progress(before + done),
         )
-        lives += run.lives
         runs.append(run)
-    by = {"force": "weight", "pinned": "share", "force_replicas": "weight"}
-    errors = {"force_stderr": "weight", "pinned_stderr": "share"}
-    errors["force_replica_std"] = "weight"
-    squares = summed(kinds, runs, errors, power=2).items()
-    found = summed(kinds, runs, by) | {
-        name: square if square is None else np.sqrt(square) for name, square in squares
-    }
-    if found["force_replicas"] is not None:
-        found["force_replica_std"] = np.std(found["force_replicas"], axis=0, ddof=1)
-    found |= {"seed": output.seed, "lives": lives}
-    found["force_reliable"] = all(run.force_reliable for run in runs)
-    found["engine_seconds"] = sum(run.engine_seconds for run in runs)
+    total = summed(kinds, runs, seed=output.seed)
     if isinstance(drive, Drive):
-        each = [run.averages for run in runs]
-        averages = Averages(**mixed_averages(kinds, each, drive.velocity))
-        return replace(runs[0], **found, averages=averages)
-    shown = (found[name] for name in ("force", "force_stderr", "force_reliable"))
+        averages = [run.averages for run in runs]
+        mixed = mixed_averages(kinds, averages, drive.velocity)
+        return replace(total, averages=Averages(**mixed))
+    shown = total.force, total.force_stderr, total.force_reliable
     segments = shown_by(drive, drive.grid(output.points), *shown)
-    return replace(runs[0], **found, segments=segments)
+    return replace(total, segments=segments)
 
 
 @lru_cache(maxsize=32)

@@ -544,8 +544,8 @@ def keys(file: RunFile | None = None) -> dict[str, type]:
         if file[section]:
             below = schema.keys_of(section).items()
             known |= {f"{section}.{name}": key.kind for name, key in below}
-    for above in _populations(file):
-        known |= {above + name: kind for name, kind in _OF_POPULATION.items()}
+    for index in range(len(file["population"] or [])):
+        known |= {f"population.{index}.{n}": kind for n, kind in _OF_POPULATION.items()}
     kinds = {n: key.kind for n, key in schema.keys_of("drive.programme").items()}
     for index, segment in enumerate(file["drive.programme"] or []):
         given = (name for name, value in segment.items() if value is not None)
@@ -557,18 +557,11 @@ def parameters(file: RunFile) -> dict[str, Any]:
     """The values of all `keys()`, with the defaults of the threshold law filled in:
     equal settings, equal dicts."""
     found = {key: file[key] for key in keys(file)}
-    for above in ("", *_populations(file)):
-        law = file[f"{above}thresholds.law"]
-        for key, default in threshold_parameters(law).items():
-            if found[f"{above}thresholds.{key}"] is None:
-                found[f"{above}thresholds.{key}"] = default
+    for key, default in threshold_parameters(file["thresholds.law"]).items():
+        if found[f"thresholds.{key}"] is None:
+            found[f"thresholds.{key}"] = default
     # no -0.0
     return {k: v + 0.0 if isinstance(v, float) else v for k, v in found.items()}
-
-
-def _populations(file: RunFile) -> list[str]:
-    """How names of keys of each population begin."""
-    return [f"population.{index}." for index in range(len(file["population"] or []))]
 
 
 def _part(data: Any, name: str) -> Any:

@@ -63,12 +63,6 @@ _MISSED_IN_STEP = 0.3
 _CIRCLE = 6
 # Factor by which values are damped over one turn of the circle.
 _WRAPPED = 1e-13
-# How means, and bounds of their errors, are summed over kinds of contacts (`summed`).
-_BY_KIND = {
-    **dict.fromkeys(("force", "force_error"), "weight"),
-    **dict.fromkeys(("pinned", "pinned_error", "breaks"), "share"),
-    **dict.fromkeys(("force_variance", "force_variance_error"), "square"),
-}
 # A stretch beyond all.
 _EVERYTHING = np.array([1e90])
 
@@ -121,7 +115,8 @@ def transient(
     if ensemble.populations and not pulled:
         way, kinds = over_distance(drive, ensemble), ensemble.kinds
         each = [transient(x.contacts, way, points, variance=variance) for x in kinds]
-        return replace(each[0], **summed(kinds, each, _BY_KIND))
+        mixed: Transient = summed(kinds, each)
+        return mixed
     if isinstance(drive, Programme):
         grid = drive.grid(points)
         solve = slider.pulled_of if drive.stage else programme.means_along
@@ -438,8 +433,8 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     if ensemble.populations:
         way, kinds = over_distance(drive, ensemble), ensemble.kinds
         each = [fluctuations(kind.contacts, way, points) for kind in kinds]
-        by = {"covariance": "square", "error": "square"}
-        return replace(each[0], **summed(kinds, each, by))
+        mixed: Fluctuations = summed(kinds, each)
+        return mixed
     s, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
     distance = drive.over(ensemble)
     if s.aging.stiffens and s.stiffness == "sqrt":

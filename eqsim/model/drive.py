@@ -74,12 +74,10 @@ class Drive:
         return self.distance
 
 
-def over_distance(drive: "Drive | Programme", ensemble: Ensemble) -> Any:
-    """The drive with its default distance filled in, the same for all kinds of
-    contacts."""
-    if isinstance(drive, Programme):
-        return drive
-    return replace(drive, distance=drive.over(ensemble))
+def over_distance(drive: Any, ensemble: Ensemble) -> Any:
+    """A drive or programme with its distance, the same for all kinds of contacts."""
+    way = drive.over(ensemble) if isinstance(drive, Drive) else None
+    return replace(drive, distance=way) if way else drive
 
 
 @dataclass(frozen=True)

@@ -32,15 +32,12 @@ def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
     fastest segment. Those of several kinds of contacts are numbered. Raises
     InputError."""
     if ensemble.populations:
-        way = over_distance(drive, ensemble)
-        return [
-            group._replace(name=f"{kind.number}: {group.name}")
-            for kind in ensemble.kinds
-            for group in (
-                Group("N", kind.contacts.count, "contacts of this population"),
-                *groups(kind.contacts, way),
-            )
-        ]
+        way, found = over_distance(drive, ensemble), list[Group]()
+        for kind in ensemble.kinds:
+            each = [Group("N", kind.contacts.count, "contacts of this population")]
+            each += groups(kind.contacts, way)
+            found += [one._replace(name=f"{kind.number}: {one.name}") for one in each]
+        return found
     if isinstance(drive, Drive):
         rows = [*_of_contacts(ensemble, drive.velocity)]
         distance = drive.over(ensemble) / ensemble.thresholds.scale

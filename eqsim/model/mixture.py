@@ -6,13 +6,14 @@ the share of kind p and w_p = s_p k_p/k its share of the mean stiffness k = sum 
     F/(N k) = sum w_p F_p/(N_p k_p),    pinned = sum s_p pinned_p,
     N Var(F/(N k)) = sum (w_p^2/s_p) N_p Var(F_p/(N_p k_p)).
 
-Travel and stretches are means over breaks. Kind p has a share q_p of these that is in
-proportion to s_p r_p, with r_p = 1/(E[l]_p + v<tau>_p) its breaks per displacement, so
-that a longer travel of a kind also lowers its share.
+Travel and stretches are means over breaks, of which kind p makes a share q_p ~ s_p r_p,
+with r_p = 1/(E[l]_p + v<tau>_p) its breaks per displacement. A longer travel of a kind
+lowers this share.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -21,20 +22,36 @@ from eqsim.estimate import OBSERVABLES, Averages, Estimate, infinite
 from eqsim.model.ensemble import Kind
 from eqsim.numerics.tables import Array
 
+# The field of `Kind` by which a field of results is multiplied before it is summed.
+_FACTORS = {
+    **dict.fromkeys(("force", "force_error", "force_replicas"), "weight"),
+    **dict.fromkeys(("force_stderr", "force_replica_std"), "weight"),
+    **dict.fromkeys(("pinned", "pinned_error", "pinned_stderr", "breaks"), "share"),
+    **dict.fromkeys(("force_variance", "force_variance_error"), "square"),
+    **dict.fromkeys(("covariance", "error"), "square"),
+}
+_IN_QUADRATURE = ("force_stderr", "force_replica_std", "pinned_stderr")
 
-def summed(
-    kinds: Sequence[Kind], results: Sequence[Any], by: Mapping[str, str], power: int = 1
-) -> dict[str, Any]:
-    """Sum columns of results over kinds, each column times the field of `Kind` that `by`
-    names for it, to a `power`; None where a kind has no such column."""
-    found: dict[str, Any] = {}
-    for name, factor in by.items():
-        factors = [getattr(kind, factor) ** power for kind in kinds]
+
+def summed(kinds: Sequence[Kind], results: Sequence[Any], **changes: Any) -> Any:
+    """Sum results over kinds, with `changes` of other fields. Standard errors, which are
+    of independent contacts, add up in quadrature, and bounds of errors as they are."""
+    for name in [field.name for field in fields(results[0])]:
         columns = [getattr(result, name) for result in results]
-        pairs = zip(factors, columns, strict=True)
-        known = all(column is not None for column in columns)
-        found[name] = sum(x * column**power for x, column in pairs) if known else None
-    return found
+        if name in ("lives", "engine_seconds"):
+            changes[name] = sum(columns)
+        elif name in ("force_reliable", "reached"):
+            changes[name] = all(columns)
+        elif name in _FACTORS and name not in changes:
+            factors = [getattr(kind, _FACTORS[name]) for kind in kinds]
+            pairs = zip(factors, columns, strict=True)
+            if any(column is None for column in columns):
+                changes[name] = None
+            elif name in _IN_QUADRATURE:
+                changes[name] = np.sqrt(sum((x * column) ** 2 for x, column in pairs))
+            else:
+                changes[name] = sum(x * column for x, column in pairs)
+    return replace(results[0], **changes)
 
 
 def mixed_averages(
@@ -43,43 +60,42 @@ def mixed_averages(
     velocity: float,
     bounds: bool = False,
 ) -> dict[str, Estimate]:
-    """Average over all contacts at a velocity. Errors of kinds are independent, or if
-    they are `bounds` they add up; degrees of freedom are those of Welch and
-    Satterthwaite."""
-    share, weight = np.array([(kind.share, kind.weight) for kind in kinds]).T
+    """Average over all contacts at a velocity. Errors are standard errors, with the
+    degrees of freedom of Welch and Satterthwaite, or `bounds`, which add up."""
+    share = np.array([kind.share for kind in kinds])
     laws = [(kind.contacts.delay, kind.contacts.thresholds.scale) for kind in kinds]
-    wait = [delay.reduced(velocity, unit).mean * unit for delay, unit in laws]
+    waits = [delay.reduced(velocity, unit).mean * unit for delay, unit in laws]
 
-    def column(name: str, of: str) -> Array:
+    def column(name: str, of: str = "value") -> Array:
         # None becomes NaN
-        return np.array([getattr(getattr(x, name), of) for x in found], float)
+        return np.array([getattr(getattr(each, name), of) for each in found], float)
 
-    def estimate(name: str, value: float, errors: Array) -> Estimate:
-        every = [getattr(averages, name) for averages in found]
-        lives, reliable = sum(x.n for x in every), all(x.reliable for x in every)
-        if any(x.diverges for x in every):
-            return infinite(lives)
-        stderr = float(np.sum(errors) if bounds else np.sqrt(np.sum(errors**2)))
-        dofs = column(name, "dof")
-        spread = float(np.nansum(errors**4 / dofs))
-        dof = math.floor(stderr**4 / spread) if spread > 0.0 else None
-        none = None if math.isnan(stderr) else stderr
-        return Estimate(
-            None if math.isnan(value) else value, none, lives, dof, reliable
-        )
-
-    mixed = {}
-    linear = {"friction": weight, "pinned": share, "force_variance": weight**2 / share}
-    for name, factor in linear.items():
-        value, error = column(name, "value"), column(name, "stderr")
-        mixed[name] = estimate(name, float(factor @ value), factor * error)
-    rate = 1.0 / (column("travel", "value") + wait)
+    rate = 1.0 / (column("travel") + waits)
     of_breaks = share * rate / float(share @ rate)
-    of_travel, of_birth = column("travel", "stderr"), column("birth_stretch", "stderr")
-    for name in ("break_stretch", "travel", "birth_stretch"):
-        value = column(name, "value")
-        mean = float(of_breaks @ value)
-        slope = float(name != "birth_stretch") - rate * (value - mean)
-        errors = np.abs(slope) * of_travel + float(name != "travel") * of_birth
-        mixed[name] = estimate(name, mean, of_breaks * errors)
-    return {name: mixed[name] for name in OBSERVABLES}
+    factors = {"friction": "weight", "pinned": "share", "force_variance": "square"}
+    mixed = {}
+    for name in OBSERVABLES:
+        value, error = column(name), column(name, "stderr")
+        if name in factors:
+            factor = np.array([getattr(kind, factors[name]) for kind in kinds])
+            mean, errors = float(factor @ value), factor * error
+        else:
+            mean = float(of_breaks @ value)
+            travels, born = name != "birth_stretch", name != "travel"
+            slope = np.abs(travels - rate * (value - mean))
+            errors = slope * column("travel", "stderr")
+            errors += born * column("birth_stretch", "stderr")
+            errors *= of_breaks
+        every = [getattr(each, name) for each in found]
+        stderr = float(np.sum(errors) if bounds else np.sqrt(errors @ errors))
+        spread = float(np.nansum(errors**4 / column(name, "dof")))
+        mixed[name] = Estimate(
+            None if math.isnan(mean) else mean,
+            None if math.isnan(stderr) else stderr,
+            sum(each.n for each in every),
+            math.floor(stderr**4 / spread) if spread > 0.0 else None,
+            all(each.reliable for each in every),
+        )
+        if any(each.diverges for each in every):
+            mixed[name] = infinite(mixed[name].n)
+    return mixed

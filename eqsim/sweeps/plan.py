@@ -215,17 +215,11 @@ def identity(point: RunFile, ensemble: Ensemble) -> str:
     file."""
     values = parameters(point)
     seed = values.pop("output.seed")
-    each = enumerate(ensemble.populations)
-    laws = {
-        "": ensemble.thresholds,
-        **{f"population.{i}.": x.thresholds for i, x in each},
-    }
-    for above, law in laws.items():
-        if isinstance(law, Table):
-            digest = hashlib.sha256(law.steps.tobytes()).hexdigest()
-            values[f"{above}thresholds.file"] = digest
-        for name in ("column", "scale", "quantity"):
-            del values[f"{above}thresholds.{name}"]
+    law = ensemble.thresholds
+    if isinstance(law, Table):
+        values["thresholds.file"] = hashlib.sha256(law.steps.tobytes()).hexdigest()
+    for name in ("column", "scale", "quantity"):
+        del values[f"thresholds.{name}"]
     text = json.dumps([values, seed, RESULTS_VERSION], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
