@@ -170,10 +170,9 @@ def _tables(contacts: Reduced, cells: int) -> LawTables:
         y.sort()
         before = np.diff(y, append=math.inf) == 0
         index = np.searchsorted(xi, y, side="right") - before
-        above, rate = (
-            _totals_from(share * stiff**_STIFFNESS_POWERS)[:, index],
-            np.zeros(y.size),
-        )
+        # in the order in which other tables are stored: kernels for another are others
+        above = _totals_from(share * stiff**_STIFFNESS_POWERS).take(index, axis=1)
+        rate = np.zeros(y.size)
         barrier, contributing = contacts.barrier, xi.size if contacts.annealed else 0
         for i in range(contributing):
             last = np.searchsorted(y, xi[i]) + 1
