@@ -112,7 +112,7 @@ def transient(
     require_integer("points", points, 2, 10**8)
     if isinstance(drive, Programme):
         grid = drive.grid(points)
-        solve = slider.pulled_of if drive.stage else programme.means_along
+        solve = slider.pulled_of if drive.pulled else programme.means_along
         means = solve(ensemble, drive, grid)
         if variance:
             return means
