@@ -119,10 +119,24 @@ class Ensemble:
             *law,
             *heat,
             delay.law,
-            delay.time * velocity / unit,
+            self.delay_time(velocity) * velocity / unit,
+            *delay.parameters,
             *ages,
             *births,
         )
+
+    def delay_time(self, velocity: float) -> float:
+        """Mean delay (time) at the ensemble's temperature and a velocity."""
+        return self.delay.at(self.thermal.kT, velocity).time
+
+    def require_steady_state(self) -> None:
+        """Raise InputError if no contact is pinned in the steady state, as none forms
+        again."""
+        if self.delay_time(1.0) == math.inf:
+            raise InputError(
+                "delay.time = inf: no contact forms again, and none is pinned in the "
+                'steady state; take drive.start = "fresh"'
+            )
 
     @property
     def self_consistent(self) -> bool:
@@ -148,6 +162,8 @@ class Ensemble:
         strongest lives by more than a factor: barriers outgrow temperature, pooled
         attempts are a finite number.
         """
+        if self.delay_time(1.0) == math.inf:
+            return ""  # all contacts are detached
         power = 5 if self.stiffness_law == "sqrt" else 3
         if isinstance(self.thresholds, Gamma) or not diverges(self.thresholds, power):
             return ""

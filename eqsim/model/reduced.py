@@ -10,7 +10,7 @@ energy in units of kT. What a key of a run file is called afterwards, and where:
     aging.rate                 alpha     4 D x_*/(v x_*f^2)     aging, `Aging.alpha`
     aging.x_star_final         final2    (x_*f/x_*)^2           aging
     aging.cutoff_time          per_time  x_*/(v t_c)            aging
-    delay.time                 mean      v tau/x_*              delay
+    delay.time                 mean      v tau/x_*, `Delay.at`  delay
     viscosity.eta              drag      eta v/(k x_*)
     newborn.*                  the same  y/x_*, or y/xi         `Newborn.reduced`
     drive.stage.damping        damping   eta_s v/x_*            `Pull`
@@ -35,7 +35,7 @@ from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, und
 from eqsim.laws.aging import AgingLaw, Unaged
 from eqsim.laws.barrier import BARRIERS, Barrier, Mechanical
 from eqsim.laws.barrier.base import require_whole
-from eqsim.laws.delay import Delay, Exponential, Fixed
+from eqsim.laws.delay import Delay, DelayLaw
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import Springs, StiffnessLaw
 from eqsim.laws.threshold import Gamma, ThresholdLaw
@@ -67,7 +67,7 @@ class Reduced(NamedTuple):
     aging : AgingLaw
         Of quenched contacts, with the numbers of its rule (`laws.aging.base`,
         `laws.aging.logarithmic`).
-    delay : Fixed | Exponential
+    delay : DelayLaw
         With mean v<tau>/x_*.
     drag : float
         eta v/(k x_*), force of a detached contact.
@@ -83,7 +83,7 @@ class Reduced(NamedTuple):
     annealed: bool
     barrier: Barrier
     aging: AgingLaw
-    delay: Fixed | Exponential
+    delay: DelayLaw
     drag: float
     newborn: Newborn = Newborn()
     one_sided: bool = False
@@ -125,8 +125,6 @@ def reduced(
     require_number("velocity", velocity, **POSITIVE)
     law, aging = births(ensemble, velocity, mean_stretch), ensemble.aging
     unit, newborn = law.scale, law is ensemble.thresholds
-    delay = ensemble.delay.reduced(velocity, unit)
-    require_number("velocity * delay / threshold", delay.mean, least=0, most=1e100)
     barrier = _barrier(ensemble, velocity, unit)
     annealed = ensemble.disorder == "annealed"
     return Reduced(
@@ -137,7 +135,7 @@ def reduced(
         barrier=barrier,
         # births that have aged age no more
         aging=aging.law(law, velocity) if newborn else Unaged(),
-        delay=delay,
+        delay=delay_of(ensemble, velocity),
         drag=drag_of(ensemble, velocity),
         newborn=ensemble.newborn,
         one_sided=annealed and ensemble.newborn.of == "length",
@@ -165,7 +163,19 @@ class Leg(NamedTuple):
 
 
 def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
-    """The segments of a programme. Raises InputError if one is out of range."""
+    """The segments of a programme. Raises InputError if one is out of range, and for
+    the steady state of contacts that never form again, and delays that depend on the
+    velocity unless there is but one speed."""
+    speeds = {abs(segment.velocity) for segment in programme.segments}
+    if programme.start == "stationary":
+        speeds.add(programme.velocity or 0.0)
+    if ensemble.delay.velocity_exponent and (len(speeds) > 1 or programme.stage):
+        raise InputError(
+            f"delay.velocity_exponent = {ensemble.delay.velocity_exponent:g}: must be 0 "
+            "with a stage, a hold, and segments of several velocities"
+        )
+    if programme.start == "stationary":
+        ensemble.require_steady_state()
     unit, segments = ensemble.thresholds.scale, programme.segments
     moving = [abs(segment.velocity) for segment in segments if segment.velocity]
     idle = programme.velocity or next(iter(moving), unit / segments[0].duration)
@@ -284,6 +294,16 @@ def births(
         raise ValueError("annealed contacts that age need a mean stretch at breaking")
     decay = aging.alpha(law.x_star, velocity) * mean_stretch / law.x_star
     return aging.pooled(law, decay)
+
+
+def delay_of(ensemble: Ensemble, velocity: float) -> DelayLaw:
+    """The law of v tau/x_*. Raises InputError if its mean is beyond 1e100, but
+    finite."""
+    delay = ensemble.delay.at(ensemble.thermal.kT, velocity)
+    law = delay.reduced(velocity, ensemble.thresholds.scale)
+    if law.mean != math.inf:
+        require_number("velocity * delay / threshold", law.mean, least=0, most=1e100)
+    return law
 
 
 def drag_of(ensemble: Ensemble, velocity: float) -> float:
