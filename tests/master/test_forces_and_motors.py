@@ -81,7 +81,8 @@ def test_forces_up_and_down():
 @pytest.mark.parametrize("force", [0.05, 0.4, 0.9])
 def test_creep_to_failure(force):
     """All n pinned contacts have the stretch f/n, and break at n exp(-b (1 - x^2)) until
-    it is 1: failure in a finite time. Negative control: a force 1 % larger."""
+    it is 1: failure in a finite time, where X has an infinite slope, so that its error
+    is compared up to 0.95 of the lifetime. Negative control: a force 1 % larger."""
 
     def rate(t, n):
         return [-n[0] * math.exp(-2.5 * (1.0 - min(force / n[0], 1.0) ** 2))]
@@ -98,9 +99,9 @@ def test_creep_to_failure(force):
     found = transient(bonds, Programme([Segment(force=force, time=1.5 * end)]), 61)
     assert abs(found.lifetime.value - end) < 1.5 * found.lifetime.stderr
     assert found.lifetime.stderr < 1e-3 * end
-    early = (found.t > 0.0) & (found.t < 0.999 * end)
+    early = (found.t > 0.0) & (found.t < 0.95 * end)
     X = force / known.sol(found.t[early])[0]
-    assert worst(found.X[early], X, found.X_error[early]) < 1.5
+    assert worst(found.X[early], X, found.X_error[early]) < 2.0
     harder = Programme([Segment(force=1.01 * force, time=1.5 * end)])
     other = transient(bonds, harder, 3).lifetime
     assert abs(other.value - end) > 5.0 * other.stderr
@@ -144,14 +145,16 @@ def test_motors(kappa, eta):
 
     def solved(stall):
         segments = [Segment(10.0, time=6.0)]
-        return transient(contacts, Programme(segments, stage=stage, stall_force=stall))
+        return transient(
+            contacts, Programme(segments, stage=stage, stall_force=stall), 61
+        )
 
     found = solved(3.0)
     X, force, pinned = motor_with_constant_rate(kappa, eta, found.t)
     later = slice(1, None)
-    assert worst(found.X, X, found.X_error) < 1.5
-    assert worst(found.force[later], force[later], found.force_error[later]) < 1.5
-    assert worst(found.pinned, pinned, found.pinned_error) < 3.0
+    assert worst(found.X, X, found.X_error) < 2.0
+    assert worst(found.force[later], force[later], found.force_error[later]) < 2.0
+    assert worst(found.pinned, pinned, found.pinned_error) < 2.0
     assert np.max(found.X_error) < 0.02
     other = solved(3.06)
     assert worst(other.X, X, other.X_error) > 4.5
@@ -174,6 +177,8 @@ def test_a_motor_backwards_and_at_rest():
 
 
 def test_refused():
-    motor = Programme([Segment(1.0, time=1.0)], stage=Stage(1.0, mass=1.0), stall_force=1)
-    with pytest.raises(InputError, match="drive.stage.mass = 1: must be 0 with drive"):
+    motor = Programme(
+        [Segment(1.0, time=1.0)], stage=Stage(1.0, mass=1.0), stall_force=1
+    )
+    with pytest.raises(InputError, match="must be 0 with drive"):
         transient(BUNDLE, motor)
