@@ -99,10 +99,10 @@ def _slips(slider: Slider, course: Array, t: Array, X: Array, Y: Array) -> list[
 
 def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
     """`_in_steps` of a slider that is quasi-static."""
-    pull, start = slider.pull, slider.state
+    pull, start, group = slider.pull, slider.state, slider.groups[0]
     loaded = np.diff(pull.ends, prepend=0.0) * pull.speeds
     stages = start.Y + np.interp(instants, [0.0, *pull.ends], np.cumsum([0.0, *loaded]))
-    queue = avalanches.queue_of(slider.population)
+    queue = avalanches.queue_of(group.population)
     state = np.zeros(1, avalanches.STATE)
     now = state[0]
     now["Y"] = start.Y
@@ -114,12 +114,12 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledR
     with ThreadPool(1) as thread:
         for stage, row in zip(stages, course, strict=True):
             way = avalanches.Way(pull.stiffness, float(stage), thread.stop)
-            contacts = slider.laws, slider.key, slider.first, queue, state, way
+            contacts = group.laws, group.key, group.first, queue, state, way
             load = avalanches.EVENT, avalanches.load, *contacts
             found.append(thread.submit(avalanches.events_of, *load).result())
             xi = queue.threshold[queue.contact]
             pinned = np.isfinite(queue.position)  # the others never form again
-            stiffness = kappa(slider.laws.springs, xi) * pinned
+            stiffness = kappa(group.laws.springs, xi) * pinned
             stretch = np.where(pinned, now["X"] - queue.position + xi, 0.0)
             square = float(np.mean((stiffness * stretch) ** 2))
             spring = 0.5 * pull.stiffness * (stage - now["X"]) ** 2
@@ -227,7 +227,7 @@ def pulled(
             progress(lives + more)
 
     for replica in range(replicas):
-        start = ensemble, programme, seed, replica * ensemble.count, workers
+        start = ensemble, programme, seed, replica, workers
         with Slider(*start) as slider:
             begin = begin or time.perf_counter()  # when kernels are compiled
             follow = _break_by_break if slider.quasi_static else _in_steps
@@ -240,7 +240,7 @@ def pulled(
     every = np.array([run.course for run in runs])
     again = np.array([run.course for run in coarse])
     mean = {name: np.mean(every[name], axis=0) for name in _COURSE.names or ()}
-    delayed = ensemble.delay.time > 0
+    delayed = any(kind.contacts.delay.time > 0 for kind in ensemble.kinds)
     errors = {
         "X": np.zeros(grid.t.size),
         "friction": np.sqrt(mean["variance"]),

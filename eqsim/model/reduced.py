@@ -120,9 +120,12 @@ def reduced(
     Raises
     ------
     InputError
-        If a dimensionless number is out of range: the one set of limits.
+        If a dimensionless number is out of range: the one set of limits; and for
+        contacts of several kinds, which have numbers of their own each.
     """
     require_number("velocity", velocity, **POSITIVE)
+    if ensemble.populations:
+        raise InputError("population: this needs contacts of one kind")
     law, aging = births(ensemble, velocity, mean_stretch), ensemble.aging
     unit, newborn = law.scale, law is ensemble.thresholds
     barrier = _barrier(ensemble, velocity, unit)
@@ -309,7 +312,7 @@ def delay_of(ensemble: Ensemble, velocity: float) -> DelayLaw:
 def drag_of(ensemble: Ensemble, velocity: float) -> float:
     """eta v/(k x_*), force of a detached contact. Raises InputError if it is beyond
     1e100."""
-    drag = ensemble.eta / ensemble.stiffness * velocity / ensemble.thresholds.scale
+    drag = ensemble.eta / ensemble.mean_stiffness * velocity / ensemble.thresholds.scale
     require_number("eta * velocity / (stiffness * threshold)", drag, **NOT_NEGATIVE)
     return drag
 
