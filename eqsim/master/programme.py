@@ -30,6 +30,7 @@ from scipy import integrate, special
 from scipy.interpolate import Akima1DInterpolator
 
 from eqsim.errors import InputError
+from eqsim.estimate import Estimate
 from eqsim.laws.aging import Unaged
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.delay import Fixed
@@ -427,8 +428,11 @@ class Transient(Result):
         estimate; None if not asked for, if contacts stay in step for longer than the
         grids resolve, or if the stationary variance is infinite.
     stage, X_error : ndarray or None
-        Of a slider that a stage pulls, in mean field: displacement of the stage's end
-        of the spring, and the error estimate of X, which is found with it (length).
+        Of a slider that is pulled, in mean field: displacement of the stage's end of
+        the spring, and the error estimate of X (length), which is found with it and is
+        not a number once a slider under a force has let go.
+    lifetime : Estimate or None
+        When it lets go (time), if it does.
     """
 
     drawn: ClassVar[Drawn] = Drawn(
@@ -445,6 +449,7 @@ class Transient(Result):
     force_variance_error: Array | None = None
     stage: Array | None = None
     X_error: Array | None = None
+    lifetime: Estimate | None = None
 
 
 def with_drag(

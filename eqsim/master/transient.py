@@ -119,7 +119,7 @@ def transient(
         return mixed
     if isinstance(drive, Programme):
         grid = drive.grid(points)
-        solve = slider.pulled_of if drive.stage else programme.means_along
+        solve = slider.pulled_of if drive.pulled else programme.means_along
         means = solve(ensemble, drive, grid)
         if variance:
             return means
