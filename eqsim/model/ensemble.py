@@ -22,6 +22,7 @@ from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import StiffnessLaw
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Gamma, ThresholdLaw, diverges, tail_exponent
+from eqsim.laws.viscosity import Viscosity
 
 Disorder = Literal["quenched", "annealed"]
 
@@ -58,6 +59,8 @@ class Ensemble:
         Viscous coefficient of a detached contact, of force eta v.
     newborn : Newborn
         Law of their stretches at birth.
+    viscosity : Viscosity
+        Another drag of a detached contact.
 
     Examples
     --------
@@ -76,12 +79,13 @@ class Ensemble:
     disorder: Disorder = "quenched"
     eta: float = 0.0
     newborn: Newborn = Newborn()
+    viscosity: Viscosity = Viscosity()
 
     def __post_init__(self) -> None:
         if not hasattr(self.thresholds, "declared"):
             said = "must be a law of thresholds, such as Gamma(1.0)"
             raise InputError(f"thresholds = {shown(self.thresholds)}: {said}")
-        for kind in (Thermal, Delay, Aging, Newborn):
+        for kind in (Thermal, Delay, Aging, Newborn, Viscosity):
             name = kind.__name__.lower()
             given = getattr(self, name)
             if not isinstance(given, kind):
