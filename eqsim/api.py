@@ -29,6 +29,7 @@ from eqsim.laws.named import Exponential, Lognormal, Normal, Pareto, Uniform, We
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
+from eqsim.laws.viscosity import Viscosity
 from eqsim.master import bursts as _bursts
 from eqsim.master import closure as _closure
 from eqsim.master import lifetimes as _lifetimes
@@ -98,6 +99,7 @@ __all__ = [
     "Uniform",
     "Units",
     "Validation",
+    "Viscosity",
     "Weibull",
     "breaks",
     "bursts",

@@ -477,7 +477,8 @@ MISTAKES = [
     M("estimate: sign of a difference", "estimate.py", "return (first.value - second.value) / sigma",
       "return (second.value - first.value) / sigma", "test_steady.py::test_difference_of_estimates"),
     # model
-    M("model: drag without the stiffness", "model/reduced.py", "drag = ensemble.eta / ensemble.mean_stiffness * velocity",
+    M("model: drag without the stiffness", "model/reduced.py",
+      "drag = ensemble.eta / ensemble.mean_stiffness * velocity",
       "drag = ensemble.eta * velocity", "test_steady.py::test_viscosity_and_delay"),
     M("model: sqrt law by the mean threshold", "model/reduced.py", "Springs(0.0, self.law.scale / self.law.rms)",
       "Springs(0.0, self.law.scale / self.law.mean)", "test_steady.py::test_zero_temperature[1.0]"),

@@ -39,6 +39,7 @@ from eqsim.laws.named import law_of, threshold_parameters
 from eqsim.laws.newborn import LAWS, Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Table, ThresholdLaw
+from eqsim.laws.viscosity import Viscosity
 from eqsim.model.drive import Drive, Output, Programme, Segment, Stage, require_drive
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Disorder, Ensemble, Population
@@ -191,6 +192,9 @@ class RunFile(Listed):
             aging = Aging.of_keys(self["aging"], set(self.given.get("aging", ())))
             aging.check(law, disorder)
         require_number("viscosity.eta", eta, **NOT_NEGATIVE)
+        with under("viscosity"):
+            drag = self["viscosity"]
+            viscosity = Viscosity(**{k: v for k, v in drag.items() if k != "eta"})
         _require_law("newborn.law", self.given, (*LAWS, "unstressed"))
         newborn = self._section(Newborn, "newborn")
         with under("newborn"):
@@ -204,6 +208,7 @@ class RunFile(Listed):
                 disorder=disorder,
                 eta=eta,
                 newborn=newborn,
+                viscosity=viscosity,
                 **self["contacts"],
             )
 

@@ -515,7 +515,8 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
             breaks[begin:end] = np.interp(inside, 0.5 * (x[1:] + x[:-1]), rate)
         first, begin = last, end
     missed = np.array([np.interp(t, edges, error) for error in errors])
-    drag = drag_of(ensemble, unit / time) * course.velocity[grid.segment]
+    moving = [drag_of(ensemble, g.pace) * g.sign for g in legs(ensemble, programme)]
+    drag = np.array(moving)[grid.segment]
     return with_drag(grid, values, missed, drag, 0.0, unit, breaks / time)
 
 

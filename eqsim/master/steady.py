@@ -4,7 +4,7 @@ engine reports them, or at many for fits and curves."""
 import functools
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy import optimize
@@ -155,7 +155,7 @@ def reference(
     square = variance and not (divergence or stretched)
     alone = bare(ensemble)
     lives = lives_of(alone, (v,), square)
-    found = {
+    found: dict[str, Any] = {
         name: Estimate(float(value[0]), float(error[0]), 0)
         for name, (value, error) in _observables(ensemble, (v,), lives).items()
     }
@@ -204,7 +204,7 @@ def _mixed(ensemble: Ensemble, drive: Drive, variance: bool) -> Reference:
     """`reference` of several kinds of contacts."""
     kinds, v = ensemble.kinds, drive.velocity
     each = [reference(kind.contacts, drive, variance=variance) for kind in kinds]
-    found = mixed_averages(kinds, each, v, bounds=True)
+    found: dict[str, Any] = mixed_averages(kinds, each, v, bounds=True)
     drag = drag_of(ensemble, v) * ensemble.thresholds.scale
     friction, pinned = known(found["friction"]), known(found["pinned"])
     f_k = (friction - drag * (1.0 - pinned)) / pinned

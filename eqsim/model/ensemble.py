@@ -24,6 +24,7 @@ from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import StiffnessLaw
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Gamma, ThresholdLaw, diverges, tail_exponent
+from eqsim.laws.viscosity import Viscosity
 from eqsim.numerics.streams import seed_named
 
 Disorder = Literal["quenched", "annealed"]
@@ -121,6 +122,8 @@ class Ensemble:
         Viscous coefficient of a detached contact, of force eta v.
     newborn : Newborn
         Law of their stretches at birth.
+    viscosity : Viscosity
+        Another drag of a detached contact.
     populations : sequence of Population
         Kinds of contacts, of which k is the mean stiffness; the values above are those
         that a population does not give.
@@ -142,13 +145,14 @@ class Ensemble:
     disorder: Disorder = "quenched"
     eta: float = 0.0
     newborn: Newborn = Newborn()
+    viscosity: Viscosity = Viscosity()
     populations: Sequence[Population] = ()
 
     def __post_init__(self) -> None:
         if not hasattr(self.thresholds, "declared"):
             said = "must be a law of thresholds, such as Gamma(1.0)"
             raise InputError(f"thresholds = {shown(self.thresholds)}: {said}")
-        for kind in (Thermal, Delay, Aging, Newborn):
+        for kind in (Thermal, Delay, Aging, Newborn, Viscosity):
             name = kind.__name__.lower()
             given = getattr(self, name)
             if not isinstance(given, kind):

@@ -97,7 +97,7 @@ def _of_contacts(ensemble: Ensemble, v: float) -> Rows:
     if ensemble.delay.time > 0:
         slid = delay_of(ensemble, v).mean
         yield "v tau/x_*", slid, "distance slid while detached"
-    if ensemble.eta > 0:
+    if drag_of(ensemble, v) > 0:
         yield "eta v/(k x_*)", drag_of(ensemble, v), "viscous force, detached"
 
 

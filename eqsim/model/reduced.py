@@ -11,7 +11,7 @@ energy in units of kT. What a key of a run file is called afterwards, and where:
     aging.x_star_final         final2    (x_*f/x_*)^2           aging
     aging.cutoff_time          per_time  x_*/(v t_c)            aging
     delay.time                 mean      v tau/x_*, `Delay.at`  delay
-    viscosity.eta              drag      eta v/(k x_*)
+    viscosity.*                drag      eta v/(k x_*)          `drag_of`
     newborn.*                  the same  y/x_*, or y/xi         `Newborn.reduced`
     drive.stage.damping        damping   eta_s v/x_*            `Pull`
     drive.stage.mass           mass      m v^2/x_*^2            `Pull`
@@ -39,6 +39,7 @@ from eqsim.laws.delay import Delay, DelayLaw
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import Springs, StiffnessLaw
 from eqsim.laws.threshold import Gamma, ThresholdLaw
+from eqsim.laws.viscosity import Viscosity
 from eqsim.model.drive import Programme
 from eqsim.model.ensemble import Ensemble
 
@@ -70,7 +71,7 @@ class Reduced(NamedTuple):
     delay : DelayLaw
         With mean v<tau>/x_*.
     drag : float
-        eta v/(k x_*), force of a detached contact.
+        Force of a detached contact over k x_*, such as eta v/(k x_*).
     newborn : Newborn
         Stretches at birth, in the user's unit.
     one_sided : bool
@@ -105,7 +106,7 @@ class Reduced(NamedTuple):
 
 def bare(ensemble: Ensemble) -> Ensemble:
     """Without what plays no part in lives: the delay, drag and count."""
-    return replace(ensemble, delay=Delay(), eta=0.0, count=1)
+    return replace(ensemble, delay=Delay(), eta=0.0, viscosity=Viscosity(), count=1)
 
 
 # The law of annealed contacts that age takes 50 ms, and engine and reference ask for it
@@ -168,7 +169,7 @@ class Leg(NamedTuple):
 def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
     """The segments of a programme. Raises InputError if one is out of range, and for
     the steady state of contacts that never form again, and delays that depend on the
-    velocity unless there is but one speed."""
+    velocity unless there is but one speed, and a stage with such a drag."""
     speeds = {abs(segment.velocity) for segment in programme.segments}
     if programme.start == "stationary":
         speeds.add(programme.velocity or 0.0)
@@ -179,6 +180,14 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
         )
     if programme.start == "stationary":
         ensemble.require_steady_state()
+    drag = ensemble.viscosity
+    bent = ensemble.eta * (drag.exponent - 1.0)
+    for name, wrong, allowed in (("force", drag.force, 0), ("exponent", bent, 1)):
+        if wrong and programme.stage:
+            raise InputError(
+                f"viscosity.{name} = {getattr(drag, name):g}: must be {allowed} with "
+                "drive.stage, whose slider has a drag in proportion to its velocity"
+            )
     unit, segments = ensemble.thresholds.scale, programme.segments
     moving = [abs(segment.velocity) for segment in segments if segment.velocity]
     idle = programme.velocity or next(iter(moving), unit / segments[0].duration)
@@ -310,9 +319,13 @@ def delay_of(ensemble: Ensemble, velocity: float) -> DelayLaw:
 
 
 def drag_of(ensemble: Ensemble, velocity: float) -> float:
-    """eta v/(k x_*), force of a detached contact. Raises InputError if it is beyond
-    1e100."""
-    drag = ensemble.eta / ensemble.mean_stiffness * velocity / ensemble.thresholds.scale
+    """Force of a detached contact over k x_*, eta v/(k x_*) unless `Viscosity` has
+    more. Raises InputError if it is beyond 1e100."""
+    unit, law = ensemble.thresholds.scale, ensemble.viscosity
+    drag = ensemble.eta / ensemble.mean_stiffness * velocity / unit
+    if drag and law.exponent != 1.0:
+        drag *= law.factor(velocity)
+    drag += law.force / ensemble.mean_stiffness / unit
     require_number("eta * velocity / (stiffness * threshold)", drag, **NOT_NEGATIVE)
     return drag
 

@@ -101,10 +101,10 @@ class ReferenceResult(FileResult):
 
     def notes(self) -> Iterator[str]:
         yield f"method: {self.exact.method}"
-        if self.exact.velocity:
+        if velocity := self.exact.velocity:
             others = f", one of {len(self.exact.roots)} steady ones"
             others *= len(self.exact.roots) > 1
-            yield f"velocity: {known(self.exact.velocity):.10g}{others}"
+            yield f"velocity: {known(velocity):.10g}{others}"
         yield "error: bound of the numerical error; f_k: F/(N_c k), friction per pinned contact"
         if self.ensemble.divergence:
             yield self.ensemble.divergence
