@@ -115,7 +115,9 @@ def simulated(file: RunFile, **settings: Any) -> SteadyResult:
     of `steady`. Raises InputError."""
     ensemble, drive = file.ensemble, file.drive
     if isinstance(drive, Programme) and drive.motor:
-        drive = Drive(known(reference(ensemble, drive).velocity))
+        driven = reference(ensemble, drive).velocity
+        assert driven is not None
+        drive = Drive(known(driven))
     drive = require_drive(drive)
     found = steady(ensemble, drive, seed=file.output.seed, **settings)
     variance = found.force_variance.value is not None
