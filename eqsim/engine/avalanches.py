@@ -95,12 +95,13 @@ def events_of(
 
 
 @routine
-def put_back(heap: Array, contacts: Array, position: float) -> None:
-    """Give the contact that is next another position, and restore the heap's order.
-    `heap` holds positions and `contacts` which contact each belongs to."""
-    contact = contacts[0]
+def put_back(heap: Array, contacts: Array, position: float, at: int = 0) -> None:
+    """Give the contact at a place of the heap, by default the one that is next, a later
+    position, and restore the heap's order. `heap` holds positions and `contacts` which
+    contact each belongs to."""
+    contact = contacts[at]
     n = heap.size
-    i = 0
+    i = at
     while True:
         child = 2 * i + 1
         if child >= n:

@@ -275,6 +275,23 @@ def _relaxed(
     return dt / damping * (net * first + gain * dt * second)
 
 
+def find_stationary(
+    before: Contacts, key: Key, first: int, population: Array, speed: float
+) -> None:
+    """Put contacts (`CONTACT`) from number `first` on into the steady state of a speed,
+    at which their laws are `before`."""
+    law = stationary(before)
+    for begin in range(0, population.size, _DRAWN_AT_ONCE):
+        drawn = population[begin : begin + _DRAWN_AT_ONCE]
+        snapshot = Population.fresh(first + begin, drawn.size)
+        begin_stationary(before, law, key, snapshot)
+        drawn["began_stationary"] = snapshot.pinned
+        drawn["time_to_pinning"] = snapshot.wait / speed
+        drawn["time_since_birth"] = snapshot.age / speed
+        for name in ("pinned", "threshold", "stretch", "clock", "lives"):
+            drawn[name] = getattr(snapshot, name)
+
+
 class Slider:
     """A slider on the contacts of an ensemble, pulled by the stage of a programme.
     Contacts are number `first` and the following ones. Steps are `longer` times as long
@@ -323,7 +340,8 @@ class Slider:
         speed = 0.0
         if programme.start == "stationary" and programme.velocity:
             speed = programme.velocity / self.pull.pace
-            self._begin_stationary(contacts(ensemble, programme.velocity), speed)
+            before = contacts(ensemble, programme.velocity)
+            find_stationary(before, self.key, first, self.population, speed)
         sums = self._follow(Piece(0.0, 0.0, 1.0))
         stretch = (stage.preload or 0.0) / unit
         if speed and stage.preload is None:
@@ -338,20 +356,6 @@ class Slider:
             and min(self.pull.speeds) >= 0.0
             and self.pull.stiffness * stretch >= sums.force * (1.0 - 1e-12)
         )
-
-    def _begin_stationary(self, before: Contacts, speed: float) -> None:
-        """Put contacts into the steady state of a speed, at which their laws are
-        `before`."""
-        law = stationary(before)
-        for begin in range(0, self.count, _DRAWN_AT_ONCE):
-            drawn = self.population[begin : begin + _DRAWN_AT_ONCE]
-            snapshot = Population.fresh(self.first + begin, drawn.size)
-            begin_stationary(before, law, self.key, snapshot)
-            drawn["began_stationary"] = snapshot.pinned
-            drawn["time_to_pinning"] = snapshot.wait / speed
-            drawn["time_since_birth"] = snapshot.age / speed
-            for name in ("pinned", "threshold", "stretch", "clock", "lives"):
-                drawn[name] = getattr(snapshot, name)
 
     def __enter__(self) -> "Slider":
         return self
