@@ -351,7 +351,7 @@ class Slider:
         # forwards, so that one break after the other can be followed.
         self.quasi_static = (
             not self.waits
-            and self.laws.delay.mean == 0.0
+            and self.laws.delay.mean in (0.0, math.inf)
             and self.pull.damping == self.pull.mass == 0.0
             and min(self.pull.speeds) >= 0.0
             and self.pull.stiffness * stretch >= sums.force * (1.0 - 1e-12)

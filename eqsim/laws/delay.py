@@ -39,8 +39,10 @@ class Fixed(_Mean, Law):
         return np.clip(np.asarray(t) / self.mean, 0.0, 1.0)
 
     def rest(self, x: Array) -> Array:
-        """E[(delay - x)+]."""
-        return np.maximum(self.mean - x, 0.0)
+        """E[(delay - x)+], x ascending, shape (n,); of delays without end that of one
+        beyond all x, whose differences are the same."""
+        mean = self.mean if self.mean < math.inf else 2.0 * x[-1]
+        return np.maximum(mean - x, 0.0)
 
     def waiting(self, h: float, cells: int) -> Array:
         """Chance that a contact that breaks anywhere in a cell of width `h` is still
@@ -110,10 +112,12 @@ class Delay:
 
     Raises InputError for a negative time or an unknown law.
 
+    With an infinite time a contact never forms again, as in a fibre bundle.
+
     Parameters
     ----------
     time : float
-        Mean delay tau (time).
+        Mean delay tau (time), or math.inf.
     law : str
         One of `DELAYS`.
 
@@ -127,11 +131,14 @@ class Delay:
     law: str = "fixed"
 
     def __post_init__(self) -> None:
-        require_number("time", self.time, **NOT_NEGATIVE)
+        if self.time != math.inf:
+            require_number("time", self.time, **NOT_NEGATIVE)
         require_choice("law", self.law, tuple(DELAYS))
 
     def reduced(self, velocity: float = 1.0, unit: float = 1.0) -> Fixed | Exponential:
         """The law of v tau in units of `unit` (length)."""
+        if self.time == math.inf:
+            return Fixed(math.inf)  # without end all laws are alike
         return DELAYS[self.law](velocity * self.time / unit)
 
     def cdf(self, t: Any) -> Array:

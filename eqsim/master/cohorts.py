@@ -400,6 +400,8 @@ def _births_in(
     if delay.random > 0.0:
         ending = math.expm1(-dt / tau)
         due, later = -(1.0 - history.pinned[m - 1]) * ending, dt + tau * ending
+    elif tau == math.inf:
+        later = 0.0
     elif tau > 0.0:
         due = _broken_by(path, breaks, m - 1, min(t1 - tau, t0), rate)
         due -= _broken_by(path, breaks, m - 1, t0 - tau, rate)

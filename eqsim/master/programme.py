@@ -387,7 +387,7 @@ def solve(contacts: Reduced, course: Course) -> tuple[Array, Array, list[History
         course.before == 0.0,
         bool(thermal or delay.mean) or changes,
     )
-    tau = delay.mean if fixed else 0.0
+    tau = delay.mean if fixed and delay.mean < math.inf else 0.0
     t, kinks = _edges_of_steps(course, numerics.width, quickest, tau, sharp)
 
     def edges_of(fine: int) -> Array:

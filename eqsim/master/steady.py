@@ -8,7 +8,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from eqsim.errors import InputError, require_number
+from eqsim.errors import InputError
 from eqsim.estimate import Averages, Estimate, infinite
 from eqsim.laws.aging import Aging
 from eqsim.laws.threshold import Gamma
@@ -18,7 +18,7 @@ from eqsim.master.quenched import LifeMoments, integrals_beyond
 from eqsim.master.solvers import PUBLISHED, method_of, moments_of
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import Reduced, bare, drag_of, reduced
+from eqsim.model.reduced import Reduced, bare, delay_of, drag_of, reduced
 from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
 
@@ -189,14 +189,16 @@ def _observables(
     """Values and absolute errors of observables in the user's units, arrays
     (velocities,)."""
     unit = ensemble.thresholds.scale
-    delay = np.array([_delay_of(ensemble, v) for v in velocities])
+    delay = np.array([delay_of(ensemble, v).mean for v in velocities])
     drag = np.array([drag_of(ensemble, v) for v in velocities])
     travel, work, square = lives.stretch, lives.work, lives.square
     relative, cycle = lives.stretch_error / travel, travel + delay
     pinned = travel / cycle
     pinned_error = pinned * (1.0 - pinned) * relative
     elastic = work / cycle
-    friction = elastic + drag * (delay / cycle)
+    endless = np.isinf(delay)
+    detached = np.where(endless, 1.0, delay / np.where(endless, 1.0, cycle))
+    friction = elastic + drag * detached
     error = (lives.work_error + np.abs(work) * pinned * relative) / cycle
     error += drag * pinned_error
     f_k_error = lives.work_error / travel + np.abs(work) / travel * relative
@@ -213,13 +215,6 @@ def _observables(
         "force_variance": (variance * unit**2, missed * unit**2),
         "f_k": (work / travel * unit, f_k_error * unit),
     }
-
-
-def _delay_of(ensemble: Ensemble, velocity: float) -> float:
-    """v<tau>/x_*. Raises InputError."""
-    delay = ensemble.delay.reduced(velocity, ensemble.thresholds.scale).mean
-    require_number("velocity * delay / threshold", delay, least=0, most=1e100)
-    return delay
 
 
 # It takes 1 ms to 1 s, and a fit, a sweep or a reference may change the delay or the

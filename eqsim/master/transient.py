@@ -163,6 +163,7 @@ def _interpolated(X: Array, x: Array, *rows: Array) -> list[Array]:
 
 def _level(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Transient:
     """Constant means of a stationary start."""
+    ensemble.require_steady_state()
     exact, level = reference(ensemble, drive, variance=variance), np.ones(points)
     X, pinned = np.linspace(0.0, drive.over(ensemble), points), known(exact.pinned)
     square, error = exact.force_variance, exact.force_variance.stderr or 0.0
@@ -223,7 +224,7 @@ def middle_half(profile: Profile) -> tuple[float, float]:
 def _in_step(profile: Profile, contacts: Reduced, x: Array) -> tuple[Array, int]:
     """Share of contacts that may be in step at each edge `x` of a grid that blurs them,
     and `Cells.around`."""
-    h, delay = x[1], contacts.delay.mean
+    h, delay = x[1], min(contacts.delay.mean, x[-1])  # longer ones are alike
     quick, slow = middle_half(profile)
     cycle = delay + slow
     highest, count = max(100.0 / quick, 200.0 / cycle), 400 if profile.jumps else 50
@@ -422,6 +423,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     [0.6771, 0.0504, 0.0111]
     """
     require_drive(drive)
+    ensemble.require_steady_state()
     require_integer("points", points, 2, 10**6)
     s, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
     distance = drive.over(ensemble)

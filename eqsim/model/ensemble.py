@@ -124,6 +124,15 @@ class Ensemble:
             *births,
         )
 
+    def require_steady_state(self) -> None:
+        """Raise InputError if no contact is pinned in the steady state, as none forms
+        again."""
+        if self.delay.time == math.inf:
+            raise InputError(
+                "delay.time = inf: no contact forms again, and none is pinned in the "
+                'steady state; take drive.start = "fresh"'
+            )
+
     @property
     def self_consistent(self) -> bool:
         """True if births depend on the mean pinned time: annealed contacts that age at
@@ -148,6 +157,8 @@ class Ensemble:
         strongest lives by more than a factor: barriers outgrow temperature, pooled
         attempts are a finite number.
         """
+        if self.delay.time == math.inf:
+            return ""  # all contacts are detached
         power = 5 if self.stiffness_law == "sqrt" else 3
         if isinstance(self.thresholds, Gamma) or not diverges(self.thresholds, power):
             return ""

@@ -125,8 +125,6 @@ def reduced(
     require_number("velocity", velocity, **POSITIVE)
     law, aging = births(ensemble, velocity, mean_stretch), ensemble.aging
     unit, newborn = law.scale, law is ensemble.thresholds
-    delay = ensemble.delay.reduced(velocity, unit)
-    require_number("velocity * delay / threshold", delay.mean, least=0, most=1e100)
     barrier = _barrier(ensemble, velocity, unit)
     annealed = ensemble.disorder == "annealed"
     return Reduced(
@@ -137,7 +135,7 @@ def reduced(
         barrier=barrier,
         # births that have aged age no more
         aging=aging.law(law, velocity) if newborn else Unaged(),
-        delay=delay,
+        delay=delay_of(ensemble, velocity),
         drag=drag_of(ensemble, velocity),
         newborn=ensemble.newborn,
         one_sided=annealed and ensemble.newborn.of == "length",
@@ -165,7 +163,10 @@ class Leg(NamedTuple):
 
 
 def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
-    """The segments of a programme. Raises InputError if one is out of range."""
+    """The segments of a programme. Raises InputError if one is out of range, and for
+    the steady state of contacts that never form again."""
+    if programme.start == "stationary":
+        ensemble.require_steady_state()
     unit, segments = ensemble.thresholds.scale, programme.segments
     moving = [abs(segment.velocity) for segment in segments if segment.velocity]
     idle = programme.velocity or next(iter(moving), unit / segments[0].duration)
@@ -284,6 +285,15 @@ def births(
         raise ValueError("annealed contacts that age need a mean stretch at breaking")
     decay = aging.alpha(law.x_star, velocity) * mean_stretch / law.x_star
     return aging.pooled(law, decay)
+
+
+def delay_of(ensemble: Ensemble, velocity: float) -> Fixed | Exponential:
+    """The law of v tau/x_*. Raises InputError if its mean is beyond 1e100, but
+    finite."""
+    delay = ensemble.delay.reduced(velocity, ensemble.thresholds.scale)
+    if delay.mean != math.inf:
+        require_number("velocity * delay / threshold", delay.mean, least=0, most=1e100)
+    return delay
 
 
 def drag_of(ensemble: Ensemble, velocity: float) -> float:
