@@ -454,7 +454,7 @@ def _settle(
 ) -> None:
     """Move a slider that nothing slows down into balance, and break what breaks on the
     way. The window is renewed if contacts have `changed` that are not next."""
-    while _course_from(drive, bonds, now).jumps:
+    while _course_from(drive, bonds, now).jumps and drive.stop[0] == 0:
         elastic = drive.stiffness + now.stiffness
         if elastic == 0.0:
             now.lifetime = now.time + now.waited
@@ -644,20 +644,38 @@ class Followed(NamedTuple):
 def by_events(ensemble: Ensemble, programme: Programme) -> bool:
     """True if a slider is followed event by event: without a mass, on contacts whose
     rates of breaking do not change with their age. Behind a stage it is so if nothing
-    slows it down, and contacts wait for heat or to be pinned."""
-    pull, quenched = pull_of(ensemble, programme), ensemble.disorder == "quenched"
-    slowed = pull.damping > 0.0 or ensemble.eta > 0.0
-    hindered = pull.motor and pull.stiffness > 0.0 and slowed
+    slows it down, and contacts wait for heat or to be pinned. Contacts that only a
+    rising force breaks, once, are for `engine.avalanches`."""
+    pull, delay = pull_of(ensemble, programme), ensemble.delay.time
     heat = contacts(ensemble, pull.pace).barrier.thermal
-    waits = heat or ensemble.delay.time > 0.0
+    slowed = pull.damping > 0.0 or ensemble.eta > 0.0
+    cold_bundle = pull.forced and not heat and delay == math.inf and not slowed
+    if pull.motor:
+        driven = pull.stiffness == 0.0 or not slowed
+    elif pull.forced:
+        driven = not cold_bundle or bool(np.any(np.diff(pull.knots[1]) < 0.0))
+    else:
+        driven = not slowed and (heat or delay > 0.0)
     return bool(
-        pull.mass == 0.0
-        and not hindered
-        and (quenched or not heat)
+        driven
+        and pull.mass == 0.0
+        and (ensemble.disorder == "quenched" or not heat)
         and not ensemble.aging.active
-        and (programme.forced or pull.motor or (waits and not slowed))
         and ensemble.count <= MOST_CONTACTS
     )
+
+
+def require_events(ensemble: Ensemble, programme: Programme, eventful: bool) -> None:
+    """Raise InputError for a drive that steps do not follow."""
+    asked = {
+        "drive.stall_force: with drive.stage": programme.motor and programme.stage,
+        'drive.rebinding = "shared"': programme.rebinding == "shared",
+    }
+    for name in (name for name, given in asked.items() if given and not eventful):
+        raise InputError(
+            f"{name}: needs neither aging, viscosity, drive.stage.damping, mass nor "
+            f"annealed disorder, and contacts.count <= {MOST_CONTACTS}"
+        )
 
 
 def follow_events(

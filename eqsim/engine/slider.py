@@ -20,7 +20,8 @@ and r lag behind by the breaks that they are means of.
 A step is so short that its estimate misses F by less than the tolerance, beyond the
 scatter of the breaks themselves, and that its displacement is at most the root of the
 tolerance. Slips take as many steps as they need. Where neither damping nor mass limits
-the velocity, a slip takes no time.
+the velocity, a slip takes no time. A force f(t) on the slider itself adds to that of
+the spring, and a motor is one of its stall force with a damping (`model.reduced.Pull`).
 
 Lengths are in units of the threshold law's scale; time is displacement at the pace of
 `model.reduced.Pull`.
@@ -58,6 +59,8 @@ _HALVINGS = 30  # of a step, until a slider without damping and mass slips at an
 _SHORTEST_STEP = 1e-200  # of a slider that damping or a mass limits
 _SLIP_DURATION = 1e-40  # over its displacement, so short that no contact ages
 _NOISE = 2.0  # standard errors of breaks in a step, which no shorter step would reduce
+_TOLERANCE = 1e-4  # of a slider without a stage, the default of a stage
+_STANDING = 1e-200  # speed over the pace of a motor that is switched off
 _AT_THRESHOLD = 1.0 - 1e-9  # share of a threshold from which on breaks are by motion
 
 # The state of a contact between two steps: 56 bytes.
@@ -307,7 +310,8 @@ class Slider:
         longer: int = 1,
     ) -> None:
         stage = programme.stage
-        assert stage is not None
+        tolerance = stage.tolerance if stage else _TOLERANCE
+        preload = stage.preload if stage else None
         law = ensemble.thresholds
         unit = law.scale
         self.pull = pull_of(ensemble, programme)
@@ -329,10 +333,11 @@ class Slider:
         # Arguments of `advance` for each thread.
         self.shares = list(zip(begins.tolist(), parts, sums_of, strict=True))
         self.least_slip = least_slip(law) / unit
-        self.longest = longer * math.sqrt(stage.tolerance) * width_of(law) / unit
-        self.tolerance = longer**2 * stage.tolerance * law.mean / unit
+        self.longest = longer * math.sqrt(tolerance) * width_of(law) / unit
+        self.tolerance = longer**2 * tolerance * law.mean / unit
         mechanical = isinstance(self.laws.barrier, Mechanical)
         self.waits = not (mechanical and isinstance(self.laws.aging, Unaged))
+        self.segment = 0
         self.acceleration = 0.0
         self.behind = Behind()
         self.breaks = BreakRates(0.1 * self.longest)
@@ -343,17 +348,22 @@ class Slider:
             before = contacts(ensemble, programme.velocity)
             find_stationary(before, self.key, first, self.population, speed)
         sums = self._follow(Piece(0.0, 0.0, 1.0))
-        stretch = (stage.preload or 0.0) / unit
-        if speed and stage.preload is None:
+        stretch = (preload or 0.0) / unit
+        if speed and stage and preload is None:
             stretch = (sums.force + self._damping(sums) * speed) / self.pull.stiffness
         self.state = State(0.0, 0.0, stretch, speed, sums)
         # True if the slider is always in balance or slips at an instant, and only moves
-        # forwards, so that one break after the other can be followed.
+        # forwards, so that one break after the other can be followed. Under a force a
+        # contact that forms again at once might make a slip without an end.
+        delay = self.laws.delay.mean
         self.quasi_static = (
             not self.waits
-            and self.laws.delay.mean in (0.0, math.inf)
+            and (delay == math.inf or (delay == 0.0 and not self.pull.forced))
             and self.pull.damping == self.pull.mass == 0.0
+            and not self.pull.motor
+            and (self.drag == 0.0 or delay == 0.0)
             and min(self.pull.speeds) >= 0.0
+            and bool(np.all(np.diff(self.pull.knots[1]) >= 0.0))
             and self.pull.stiffness * stretch >= sums.force * (1.0 - 1e-12)
         )
 
@@ -364,9 +374,28 @@ class Slider:
         if self.pool:
             self.pool.__exit__(*error)
 
+    @property
+    def let_go(self) -> bool:
+        """True if nothing is left that balances a force, or slows the slider down."""
+        sums = self.state.sums
+        held = self.pull.stiffness or self.pull.mass or self._damping(sums)
+        return sums.pinned == 0.0 and not held
+
     def _damping(self, sums: Sums) -> float:
-        """Damping of the slider and of all detached contacts."""
-        return self.pull.damping + self.drag * (1.0 - sums.pinned)
+        """Damping of the slider, of all detached contacts, and by a motor."""
+        damping = self.pull.damping + self.drag * (1.0 - sums.pinned)
+        if self.pull.motor:
+            speed = abs(self.pull.speeds[self.segment])
+            damping += self.pull.stall / max(speed, _STANDING)
+        return damping
+
+    def _applied(self, time: float) -> float:
+        """Force on the slider besides that of a spring."""
+        pull, i = self.pull, self.segment
+        if pull.motor:
+            return math.copysign(pull.stall, pull.speeds[i])
+        begin = pull.ends[i - 1] if i else 0.0
+        return pull.forces[i] + pull.force_rates[i] * (time - begin)
 
     def _follow(self, piece: Piece) -> Sums:
         """Follow all contacts along a piece. Returns sums divided by their number."""
@@ -401,8 +430,8 @@ class Slider:
         now, pull, behind = self.state, self.pull, self.behind.within(dt)
         elastic = self._elastic
         net = pull.stiffness * (now.Y - now.X) - now.sums.force
-        net -= elastic * behind.distance
-        gain = pull.stiffness * speed - self.breaks.r
+        net += self._applied(now.time) - elastic * behind.distance
+        gain = pull.stiffness * speed + pull.force_rates[self.segment] - self.breaks.r
         if pull.mass == 0.0:
             damping = self._damping(now.sums)
             dX = behind.distance + _relaxed(net, gain, elastic, damping, dt)
@@ -441,10 +470,17 @@ class Slider:
         dX, V = self._estimate(dt, speed)
         limited = self.pull.damping or self.pull.mass
         shortest = _SHORTEST_STEP if limited else 0.5**_HALVINGS * dt
-        while abs(dX) > 1.5 * self.longest and dt > shortest:
+        longest = 1.5 * self.longest
+        gone = now.sums.pinned == 0.0 and self.laws.delay.mean == math.inf
+        if gone and not self.pull.mass:  # nothing breaks, and the estimate is exact
+            self.breaks = BreakRates(self.breaks.shortest)
+            self.behind = Behind()
+            dt, longest = left, math.inf
+            dX, V = self._estimate(dt, speed)
+        while abs(dX) > longest and dt > shortest:
             dt *= 0.5
             dX, V = self._estimate(dt, speed)
-        if abs(dX) > 1.5 * self.longest:
+        if abs(dX) > longest:
             return self._slip()
         sums = self._follow(Piece(dt, abs(dX) / dt, math.copysign(1.0, dX)))
         change = (now.sums.stiffness + self.breaks.rho) * dX + self.breaks.r * dt
@@ -499,6 +535,7 @@ class Slider:
         """Move towards balance in a piece that takes no time."""
         now = self.state
         net = self.pull.stiffness * (now.Y - now.X) - now.sums.force
+        net += self._applied(now.time)
         elastic = self._elastic
         size = self.longest
         if elastic > 0.0:
@@ -519,7 +556,15 @@ class Slider:
         is left of the work of the spring."""
         now, pull = self.state, self.pull
         spring = pull.stiffness * (now.Y + 0.5 * dY - now.X - 0.5 * dX)
+        if not pull.stiffness:
+            spring, dY = self._applied(now.time + 0.5 * dt), dX
         damped = (spring - force) * dX - 0.5 * pull.mass * (V * V - now.V * now.V)
+        taken = damped  # by the motor itself
+        taken *= (
+            1.0 - self.drag * (1.0 - sums.pinned) / self._damping(sums)
+            if pull.motor
+            else 0.0
+        )
         missed = force * dX - (sums.stored - now.sums.stored) - sums.lost
         self.state = State(
             now.time + dt,
@@ -527,8 +572,8 @@ class Slider:
             now.Y + dY,
             V,
             sums,
-            now.work + spring * dY,
-            now.damped + damped,
+            now.work + spring * dY - taken,
+            now.damped + damped - taken,
             now.lost + sums.lost,
             now.missed + missed,
         )

@@ -49,6 +49,7 @@ class _PulledRun(NamedTuple):
     slips: list[Slip]
     lives: int
     avalanches: dict[str, Array] | None = None
+    lifetime: float = math.inf
 
 
 def _note(slider: Slider, row: np.void) -> None:
@@ -65,6 +66,8 @@ def _note(slider: Slider, row: np.void) -> None:
     row["dissipated"] = now.lost + now.damped
     row["missed"] = now.missed
     row["behind"] = slider.behind.distance
+    if slider.let_go:
+        row["X"] = row["stage"] = math.nan
 
 
 def _in_steps(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
@@ -74,10 +77,13 @@ def _in_steps(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
     states = [slider.state]
     lives = float(slider.count)
     row = 1
-    for end, speed in zip(slider.pull.ends, slider.pull.speeds, strict=True):
+    for index, (end, speed) in enumerate(
+        zip(slider.pull.ends, slider.pull.speeds, strict=True)
+    ):
+        slider.segment = index
         while row < instants.size and instants[row] <= end * (1.0 + 1e-12):
             until = min(float(instants[row]), end)
-            while slider.state.time < until:
+            while slider.state.time < until and not slider.let_go:
                 now = slider.step(until, speed)
                 states.append(now)
                 lives += now.sums.breaks * slider.count
@@ -88,8 +94,11 @@ def _in_steps(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
             row += 1
     course["stored"] -= course["stored"][0]
     t, X, Y = np.array([(now.time, now.X, now.Y) for now in states]).T
-    slips = _slips(slider.pull, slider.least_slip, course, t, X, Y)
-    return _PulledRun(course, slips, round(lives))
+    slips = []
+    if slider.pull.stiffness:
+        slips = _slips(slider.pull, slider.least_slip, course, t, X, Y)
+    lifetime = slider.state.time if slider.let_go else math.inf
+    return _PulledRun(course, slips, round(lives), lifetime=lifetime)
 
 
 def _slips(
@@ -105,8 +114,15 @@ def _slips(
 def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
     """`_in_steps` of a slider that is quasi-static."""
     pull, start = slider.pull, slider.state
-    loaded = np.diff(pull.ends, prepend=0.0) * pull.speeds
-    stages = start.Y + np.interp(instants, [0.0, *pull.ends], np.cumsum([0.0, *loaded]))
+    if pull.forced:
+        times, loads = pull.knots
+        stages = pull.force_at(instants)
+        stages[0] = 0.0  # before the force acts
+    else:
+        loaded = np.diff(pull.ends, prepend=0.0) * pull.speeds
+        moved = np.interp(instants, [0.0, *pull.ends], np.cumsum([0.0, *loaded]))
+        stages = start.Y + moved
+        times, loads = instants, stages
     queue = avalanches.queue_of(slider.population)
     state = np.zeros(1, avalanches.STATE)
     now = state[0]
@@ -135,17 +151,24 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledR
             row["work"] = now["work"]
             row["stored"] = spring + 0.5 * float(np.mean(stiffness * stretch**2))
             row["dissipated"] = now["lost"] + now["slipped"]
+            if pull.forced:
+                let_go = not pinned.any()
+                row["stage"] = row["X"] = math.nan if let_go else now["X"]
             told(int(now["breaks"]))
     course["stored"] -= course["stored"][0]
     course["missed"] = course["work"] - course["stored"] - course["dissipated"]
     bursts = np.concatenate(found)
-    t, X = np.interp(bursts["Y"], stages, instants), bursts["X"]
+    t, X = np.interp(bursts["Y"], loads, times), bursts["X"]
     moved = np.stack((X, X + bursts["distance"]), axis=1).ravel()
     twice = np.repeat(t, 2), moved, np.repeat(bursts["Y"], 2)
-    slips = _slips(pull, slider.least_slip, course, *twice) if bursts.size else []
+    slips = []
+    if bursts.size and not pull.forced:
+        slips = _slips(pull, slider.least_slip, course, *twice)
+    let_go = pull.forced and np.isnan(course["X"][-1])
     columns = {name: bursts[name] for name in ("X", "breaks", "drop", "distance")}
     lives = slider.count + int(now["breaks"])
-    return _PulledRun(course, slips, lives, {"t": t, **columns})
+    lifetime = float(t[-1]) if let_go else math.inf
+    return _PulledRun(course, slips, lives, {"t": t, **columns}, lifetime)
 
 
 def _by_events(
@@ -156,9 +179,9 @@ def _by_events(
     courses: Array,
     threads: int,
     told: Progress,
-) -> tuple[list[_PulledRun], Array]:
-    """Runs of all replicas event by event, and the times at which they let go. Fills
-    `courses` (replicas, points) of `_COURSE`."""
+) -> list[_PulledRun]:
+    """Runs of all replicas event by event. Fills `courses` (replicas, points) of
+    `_COURSE`."""
     pull, law = pull_of(ensemble, programme), ensemble.thresholds
     followed = events.follow_events(
         ensemble, programme, seed, instants, courses, threads, told
@@ -177,9 +200,10 @@ def _by_events(
             slips = _slips(pull, least, course, *twice)
         names = "t", "X", "breaks", "drop", "distance"
         columns = {name: bursts[name] for name in names}
-        lives = ensemble.count + int(followed.sliders["breaks"][replica])
-        runs.append(_PulledRun(course, slips, lives, columns))
-    return runs, followed.sliders["lifetime"]
+        now = followed.sliders[replica]
+        lives, lifetime = ensemble.count + int(now["breaks"]), float(now["lifetime"])
+        runs.append(_PulledRun(course, slips, lives, columns, lifetime))
+    return runs
 
 
 def coarse_instants(segment: Array) -> Array:
@@ -260,7 +284,6 @@ def pulled(
     every = np.zeros((replicas, grid.t.size), _COURSE)
     runs: list[_PulledRun] = []
     coarse: list[_PulledRun] = []
-    lifetimes = np.full(replicas, math.inf)
     begin, lives = 0.0, 0
 
     def told(more: int) -> None:
@@ -268,11 +291,10 @@ def pulled(
             progress(lives + more)
 
     eventful = events.by_events(ensemble, programme)
+    events.require_events(ensemble, programme, eventful)
     if eventful:
         begin = time.perf_counter()
-        runs, lifetimes = _by_events(
-            ensemble, programme, seed, instants, every, workers, told
-        )
+        runs = _by_events(ensemble, programme, seed, instants, every, workers, told)
         lives = sum(run.lives for run in runs)
     for replica in range(0 if eventful else replicas):
         start = ensemble, programme, seed, replica * ensemble.count, workers
@@ -321,9 +343,7 @@ def pulled(
     energies = [mean[name] for name in _ENERGIES]
     spring = pull.stiffness * (mean["stage"] - mean["X"])
     if programme.forced:
-        ends = np.append(0.0, pull.ends)[grid.segment]
-        rate = np.array(pull.force_rates)[grid.segment]
-        spring = np.array(pull.forces)[grid.segment] + rate * (instants - ends)
+        spring = pull.force_at(instants)
     elif programme.stage is None:
         spring = mean["friction"]
     return SliderTrajectory(
@@ -351,5 +371,5 @@ def pulled(
         slips=_slips_in_units(runs, per_time, unit),
         coarser_slips=_slips_in_units(coarse, per_time, unit) if coarse else None,
         avalanches=_avalanches_in_units(runs, per_time, unit),
-        lifetimes=lifetimes / per_time,
+        lifetimes=np.array([run.lifetime for run in runs]) / per_time,
     )
