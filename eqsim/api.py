@@ -43,7 +43,7 @@ from eqsim.master.steady import Curve, Reference
 from eqsim.master.transient import Fluctuations, Transient
 from eqsim.model.drive import Drive, Programme, Segment, Stage
 from eqsim.model.elastic import Elastic
-from eqsim.model.ensemble import Ensemble
+from eqsim.model.ensemble import Ensemble, Population
 from eqsim.validation import Validation, validate
 from eqsim.workflows import run as _run
 from eqsim.workflows import sweep as _sweep
@@ -77,6 +77,7 @@ __all__ = [
     "Newborn",
     "Normal",
     "Pareto",
+    "Population",
     "Posterior",
     "Programme",
     "ProgrammeTrajectory",

@@ -110,11 +110,15 @@ COLUMNS = {name: _entry(known) for name, known in _FILE["columns"].items()}
 
 def entry(name: str) -> Entry | None:
     """The entry of a key or a column, None without one; the words of those of a
-    segment, `drive.programme.1.hold` and `segment_1_peak`, say which."""
+    segment, `drive.programme.1.hold` and `segment_1_peak`, or a population say which.
+    """
     if found := re.fullmatch(r"segment_(\d+)_(\w+)", name):
         known = COLUMNS.get(f"segment.{found[2]}")
         return known and known._replace(words=f"segment {found[1]}: {known.words}")
     if found := re.fullmatch(r"drive\.programme\.(\d+)\.(\w+)", name):
         known = KEYS.get(f"drive.programme.{found[2]}")
         return known and known._replace(words=f"{known.words} of segment {found[1]}")
+    if found := re.fullmatch(r"population\.(\d+)\.(.+)", name):
+        known = KEYS.get(f"population.{found[2]}") or KEYS.get(found[2])
+        return known and known._replace(words=f"{known.words} of population {found[1]}")
     return KEYS.get(name) or COLUMNS.get(name)

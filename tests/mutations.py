@@ -477,7 +477,7 @@ MISTAKES = [
     M("estimate: sign of a difference", "estimate.py", "return (first.value - second.value) / sigma",
       "return (second.value - first.value) / sigma", "test_steady.py::test_difference_of_estimates"),
     # model
-    M("model: drag without the stiffness", "model/reduced.py", "drag = ensemble.eta / ensemble.stiffness * velocity",
+    M("model: drag without the stiffness", "model/reduced.py", "drag = ensemble.eta / ensemble.mean_stiffness * velocity",
       "drag = ensemble.eta * velocity", "test_steady.py::test_viscosity_and_delay"),
     M("model: sqrt law by the mean threshold", "model/reduced.py", "Springs(0.0, self.law.scale / self.law.rms)",
       "Springs(0.0, self.law.scale / self.law.mean)", "test_steady.py::test_zero_temperature[1.0]"),
@@ -485,8 +485,8 @@ MISTAKES = [
       "aging.final(law.x_star), aging.alpha", "test_aging.py::test_reduced"),
     M("model: b by a half", "model/ensemble.py", "energy = 0.5 * self.stiffness", "energy = 0.25 * self.stiffness",
       "test_thermal.py::test_crossover_velocity_is_nt12"),
-    M("model: distance of 100 thresholds", "model/drive.py", "200.0 * ensemble.thresholds.mean",
-      "100.0 * ensemble.thresholds.mean", "test_runfile.py::test_defaults"),
+    M("model: distance of 100 thresholds", "model/drive.py", "200.0 * max(",
+      "100.0 * max(", "test_runfile.py::test_defaults"),
     # fits
     M("profiles: level of 95 % for one side", "fitting/profiles.py", '"95": 3.8415', '"95": 2.7055',
       "test_fit.py::test_levels"),

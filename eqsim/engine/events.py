@@ -634,20 +634,16 @@ def follow_replicas(
     return rows, True
 
 
-class Followed(NamedTuple):
-    """What replicas have left: `SLIDER` (replicas,), and all `BURST`s."""
-
-    sliders: Array
-    bursts: Array
-
-
 def by_events(ensemble: Ensemble, programme: Programme) -> bool:
     """True if a slider is followed event by event: without a mass, on contacts whose
     rates of breaking do not change with their age. Behind a stage it is so if nothing
     slows it down, and contacts wait for heat or to be pinned. Contacts that only a
     rising force breaks, once, are for `engine.avalanches`."""
-    pull, delay = pull_of(ensemble, programme), ensemble.delay.time
-    heat = contacts(ensemble, pull.pace).barrier.thermal
+    if ensemble.populations:
+        return False
+    pull = pull_of(ensemble, programme)
+    laws = contacts(ensemble, pull.pace)
+    heat, delay = laws.barrier.thermal, laws.delay.mean
     slowed = pull.damping > 0.0 or ensemble.eta > 0.0
     cold_bundle = pull.forced and not heat and delay == math.inf and not slowed
     if pull.motor:
@@ -673,8 +669,8 @@ def require_events(ensemble: Ensemble, programme: Programme, eventful: bool) -> 
     }
     for name in (name for name, given in asked.items() if given and not eventful):
         raise InputError(
-            f"{name}: needs neither aging, viscosity, drive.stage.damping, mass nor "
-            f"annealed disorder, and contacts.count <= {MOST_CONTACTS}"
+            f"{name}: needs contacts.count <= {MOST_CONTACTS} of one kind that do not "
+            "age, quenched, and neither viscosity, drive.stage.damping nor mass"
         )
 
 
@@ -686,9 +682,10 @@ def follow_events(
     courses: Array,
     threads: int,
     told: Callable[[int], None],
-) -> Followed:
+) -> tuple[Array, Array]:
     """Follow all replicas, and fill their `courses` (replicas, points), records of
-    `slider_runs` at these instants; `told` gets the lives so far. Raises InputError for a rate that is
+    `slider_runs` at these instants; `told` gets the lives so far. Returns sliders in
+    the end, `SLIDER` (replicas,), and all bursts, `BURST`. Raises InputError for a rate that is
     greatest between two stretches instead of at one of them."""
     unit, count = ensemble.thresholds.scale, ensemble.count
     pull, key = pull_of(ensemble, programme), key_of(seed, TRAJECTORY)
@@ -750,4 +747,4 @@ def follow_events(
     if sliders["unbounded"].any():
         said = "its rate has to be greatest at an end of any range of stretches"
         raise InputError(f'thermal.barrier = "{ensemble.thermal.barrier}": {said}')
-    return Followed(sliders, bursts)
+    return sliders, bursts

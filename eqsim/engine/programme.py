@@ -18,7 +18,7 @@ from eqsim.engine.recorder import Extent, Moments, Run, Scales
 from eqsim.engine.records import ProgrammeTrajectory, shown_by
 from eqsim.engine.sample import typical_lives
 from eqsim.engine.scatter import Scatter
-from eqsim.engine.segments import Population, begin_stationary, waits_at_rest
+from eqsim.engine.segments import Snapshot, begin_stationary, waits_at_rest
 from eqsim.engine.stationary import Fresh, Stationary, stationary
 from eqsim.errors import InputError, require_number, under
 from eqsim.laws.aging.langevin import MOST_ALPHA
@@ -135,9 +135,9 @@ class Steps(NamedTuple):
                 if total.stop[0]:
                     return
 
-    def _population(self, first: int, contacts: int) -> Population:
+    def _population(self, first: int, contacts: int) -> Snapshot:
         """Make contacts that are handed on from one segment to another."""
-        population = Population.fresh(first, contacts)
+        population = Snapshot.fresh(first, contacts)
         if self.before is not None:
             begin_stationary(self.before, self.start, self.key, population)
         return population

@@ -220,7 +220,7 @@ class Recorder(NamedTuple):
     Lives of all lanes are recorded together, or one by one."""
 
     run: Run
-    start: Any  # `Fresh`, `Stationary` or `Population`: how contacts come in
+    start: Any  # `Fresh`, `Stationary` or `Snapshot`: how contacts come in
     scales: Deposit  # powers of 2 that turn deposits into integers
     window_scales: Window  # the same of averages
     deposits: Array  # `DEPOSIT`, (points + 1,); the last row takes what is beyond

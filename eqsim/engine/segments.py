@@ -3,7 +3,7 @@
 A contact begins in the state that the start or the segment before gave it, with the
 rest of its exponential clock. Lives that begin in the segment are drawn by
 `engine.follow`. If another segment follows, the state at the end is handed on in a
-`Population`. Stretches count in the direction of motion. In a hold they are constant,
+`Snapshot`. Stretches count in the direction of motion. In a hold they are constant,
 and time is measured as displacement at the pace of another segment. Thresholds that
 fluctuate are followed step by step, up to the end of the segment. Positions are
 relative to the beginning of the segment, so that forces do not cancel over long
@@ -57,7 +57,7 @@ _RELAXED = 100.0  # relaxations at rest, after which the mean hazard is constant
 _MOST_CYCLES = 32000  # tried for a snapshot; all fail for one contact in e^32
 
 
-class Population(NamedTuple):
+class Snapshot(NamedTuple):
     """Contacts between two segments, arrays (contacts,). Times are displacements at the
     pace of the segment before. All but `wait` and `lives` is of pinned contacts; where
     thresholds fluctuate, `threshold` is the current one."""
@@ -77,7 +77,7 @@ class Population(NamedTuple):
     first: int  # number of the first contact
 
     @classmethod
-    def fresh(cls, first: int, contacts: int) -> "Population":
+    def fresh(cls, first: int, contacts: int) -> "Snapshot":
         """All contacts about to be pinned for the first time."""
         real, whole = np.zeros((8, contacts)), np.zeros((3, contacts), np.int64)
         return cls._make((np.zeros(contacts, np.bool_), *real, *whole, first))
@@ -190,9 +190,9 @@ def _path_at_start(
     return reborn
 
 
-@enter.register(Population)
+@enter.register(Snapshot)
 def _enter_between(
-    start: Population, c: Contacts, recorder: Recorder, key: Key, contact: int
+    start: Snapshot, c: Contacts, recorder: Recorder, key: Key, contact: int
 ) -> tuple[float, int]:
     run, i = recorder.run, contact - start.first
     lives, reborn = start.lives[i] // ROUNDS, start.wait[i] * run.ratio
@@ -209,7 +209,7 @@ def _enter_between(
 
 @by_law
 def go_on(
-    law: Any, c: Contacts, recorder: Recorder, key: Key, p: Population, i: int
+    law: Any, c: Contacts, recorder: Recorder, key: Key, p: Snapshot, i: int
 ) -> float:
     """Follow a pinned contact through the segment, by the law of aging. Returns the
     position where it breaks, or infinity, and then stores its state at the end."""
@@ -233,7 +233,7 @@ def go_on(
 
 @go_on.register(Langevin)
 def _path_goes_on(
-    law: Langevin, c: Contacts, recorder: Recorder, key: Key, p: Population, i: int
+    law: Langevin, c: Contacts, recorder: Recorder, key: Key, p: Snapshot, i: int
 ) -> float:
     run, contact, y = recorder.run, p.first + i, recorder.run.sign * p.stretch[i]
     path = Path(key, contact, p.life[i], p.draw[i], p.threshold[i], y, p.clock[i])
@@ -410,13 +410,13 @@ def time_in_hold(
     start: Any, c: Contacts, contact: Held, longest: float, clock: float
 ) -> float:
     """Time for which a contact stays pinned in a hold, infinity if it outlasts the
-    hold. By the type of the start: only programmes, with a `Population`, have holds."""
+    hold. By the type of the start: only programmes, with a `Snapshot`, have holds."""
     return math.inf
 
 
-@time_in_hold.register(Population)
+@time_in_hold.register(Snapshot)
 def _time_in_hold(
-    start: Population, c: Contacts, contact: Held, longest: float, clock: float
+    start: Snapshot, c: Contacts, contact: Held, longest: float, clock: float
 ) -> float:
     return spend(c.aging, c, contact, 0, longest, clock)[0]
 
@@ -540,12 +540,12 @@ def hand_on(
     delay: float,
 ) -> None:
     """Store the state of a contact after its last birth in a segment for the next one,
-    if the start is a `Population`."""
+    if the start is a `Snapshot`."""
 
 
-@hand_on.register(Population)
+@hand_on.register(Snapshot)
 def _hand_on(
-    start: Population,
+    start: Snapshot,
     c: Contacts,
     run: Run,
     life: Path,
@@ -566,7 +566,7 @@ def _hand_on(
 
 @by_law
 def keep_life(
-    law: Any, c: Contacts, run: Run, p: Population, life: Path, born: float
+    law: Any, c: Contacts, run: Run, p: Snapshot, life: Path, born: float
 ) -> None:
     """Store a pinned contact at the end of a segment, by the law of aging."""
     i, age = life.contact - p.first, run.length - born
@@ -581,7 +581,7 @@ def keep_life(
 
 @keep_life.register(Langevin)
 def _keep_no_life(
-    law: Langevin, c: Contacts, run: Run, p: Population, life: Path, born: float
+    law: Langevin, c: Contacts, run: Run, p: Snapshot, life: Path, born: float
 ) -> None:
     pass  # `keep_path` has stored it
 
@@ -591,8 +591,8 @@ def keep_path(start: Any, run: Run, path: Path) -> None:
     """Store a path at the end of a segment, by the type of the start."""
 
 
-@keep_path.register(Population)
-def _keep_path(start: Population, run: Run, path: Path) -> None:
+@keep_path.register(Snapshot)
+def _keep_path(start: Snapshot, run: Run, path: Path) -> None:
     i = path.contact - start.first
     start.threshold[i] = path.xi
     start.stretch[i] = run.sign * path.x
@@ -606,7 +606,7 @@ def _keep_path(start: Population, run: Run, path: Path) -> None:
 
 @kernel
 def begin_stationary(
-    c: Contacts, stationary: Stationary, key: Key, p: Population
+    c: Contacts, stationary: Stationary, key: Key, p: Snapshot
 ) -> None:
     """Fill a population from a snapshot of the steady state of `c`."""
     for i in range(p.wait.size):

@@ -28,13 +28,14 @@ Lengths are in units of the threshold law's scale; time is displacement at the p
 """
 
 import math
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import delay_after, delay_of_the_first, draw_birth
-from eqsim.engine.segments import Population, begin_stationary
+from eqsim.engine.segments import Snapshot, begin_stationary
 from eqsim.engine.stationary import stationary
 from eqsim.laws.aging import Unaged
 from eqsim.laws.aging.base import Held, growth, spend, stiffness_varies
@@ -94,6 +95,9 @@ class Sums(NamedTuple):
     breaks: float
 
 
+# Powers in which stiffness and length enter the sums.
+_OF_STIFFNESS = np.array(Sums(0, 1, 1, 2, 1, 1, 1, 2, 1, 0))
+_OF_LENGTH = np.array(Sums(0, 0, 1, 2, 2, 1, 1, 2, 2, 0))
 _SUMS = np.dtype([(name, np.float64) for name in Sums._fields])
 
 
@@ -286,7 +290,7 @@ def find_stationary(
     law = stationary(before)
     for begin in range(0, population.size, _DRAWN_AT_ONCE):
         drawn = population[begin : begin + _DRAWN_AT_ONCE]
-        snapshot = Population.fresh(first + begin, drawn.size)
+        snapshot = Snapshot.fresh(first + begin, drawn.size)
         begin_stationary(before, law, key, snapshot)
         drawn["began_stationary"] = snapshot.pinned
         drawn["time_to_pinning"] = snapshot.wait / speed
@@ -295,48 +299,75 @@ def find_stationary(
             drawn[name] = getattr(snapshot, name)
 
 
+class Followed(NamedTuple):
+    """The contacts of one kind. Stretches and time are in units of their own law."""
+
+    laws: Contacts
+    key: Key
+    first: int  # number of the first contact
+    population: Array  # records of type `CONTACT`
+    unit: float  # of length, over that of the ensemble
+
+
 class Slider:
     """A slider on the contacts of an ensemble, pulled by the stage of a programme.
-    Contacts are number `first` and the following ones. Steps are `longer` times as long
-    as the tolerance of the stage asks for."""
+    Contacts are those of a `replica`. Steps are `longer` times as long as the tolerance
+    of the stage asks for."""
 
     def __init__(
         self,
         ensemble: Ensemble,
         programme: Programme,
         seed: int,
-        first: int,
+        replica: int,
         threads: int,
         longer: int = 1,
     ) -> None:
         stage = programme.stage
         tolerance = stage.tolerance if stage else _TOLERANCE
         preload = stage.preload if stage else None
-        law = ensemble.thresholds
-        unit = law.scale
+        unit = ensemble.thresholds.scale
         self.pull = pull_of(ensemble, programme)
-        self.laws = contacts(ensemble, self.pull.pace)
-        self.drag = drag_of(ensemble, self.pull.pace)
-        self.key = key_of(seed, TRAJECTORY)
-        self.first = first
+        pace = self.pull.pace
+        self.drag = drag_of(ensemble, pace)
         self.count = ensemble.count
-        self.population = np.zeros(self.count, CONTACT)
-        blocks = -(-self.count // _BLOCK)
-        self.block_sums = np.zeros((blocks, len(Sums._fields)))
+        self.groups: list[Followed] = []
+        factors = []  # that turn sums over each block into the ensemble's units
+        blocks = []
+        for kind in ensemble.kinds:
+            alone, key = kind.contacts, key_of(kind.seed(seed), TRAJECTORY)
+            population = np.zeros(alone.count, CONTACT)
+            size = alone.thresholds.scale / unit
+            first = replica * alone.count
+            group = Followed(contacts(alone, pace), key, first, population, size)
+            k = alone.stiffness / ensemble.mean_stiffness
+            blocks.append(-(-alone.count // _BLOCK))
+            factors += blocks[-1] * [k**_OF_STIFFNESS * size**_OF_LENGTH]
+            self.groups.append(group)
+        self.factors = np.array(factors)
+        self.block_sums = np.zeros_like(self.factors)
         records = self.block_sums.view(_SUMS)[:, 0]
-        threads = max(1, min(threads, blocks // _BLOCKS_PER_THREAD))
+        threads = max(1, min(threads, records.size // _BLOCKS_PER_THREAD))
         self.pool = ThreadPool(threads - 1) if threads > 1 else None
-        ends = np.arange(threads + 1) * blocks // threads
-        parts = np.split(self.population, ends[1:-1] * _BLOCK)
-        begins = first + ends[:-1] * _BLOCK
-        sums_of = np.split(records, ends[1:-1])
-        # Arguments of `advance` for each thread.
-        self.shares = list(zip(begins.tolist(), parts, sums_of, strict=True))
-        self.least_slip = least_slip(law) / unit
-        self.longest = longer * math.sqrt(tolerance) * width_of(law) / unit
-        self.tolerance = longer**2 * tolerance * law.mean / unit
-        mechanical = isinstance(self.laws.barrier, Mechanical)
-        self.waits = not (mechanical and isinstance(self.laws.aging, Unaged))
+        # A group, and arguments of `advance` for a thread.
+        self.shares = []
+        of_groups = np.split(records, np.cumsum(blocks)[:-1])
+        for group, sums_of in zip(self.groups, of_groups, strict=True):
+            ends = (np.arange(threads + 1) * sums_of.size // threads).tolist()
+            for begin, end in pairwise(ends):
+                part = group.population[begin * _BLOCK : end * _BLOCK]
+                first = group.first + begin * _BLOCK
+                self.shares.append((group, first, part, sums_of[begin:end]))
+        laws = [kind.contacts.thresholds for kind in ensemble.kinds]
+        self.least_slip = min(map(least_slip, laws)) / unit
+        width = min(map(width_of, laws))
+        self.longest = longer * math.sqrt(tolerance) * width / unit
+        mean = min(law.mean for law in laws)
+        self.tolerance = longer**2 * tolerance * mean / unit
+        barriers = [isinstance(x.laws.barrier, Mechanical) for x in self.groups]
+        unaged = [isinstance(x.laws.aging, Unaged) for x in self.groups]
+        self.waits = not all(barriers + unaged)
+        self.endless = all(x.laws.delay.mean == math.inf for x in self.groups)
         self.segment = 0
         self.acceleration = 0.0
         self.behind = Behind()
@@ -344,9 +375,10 @@ class Slider:
         self.dt = _FIRST_STEP * self.pull.ends[0]
         speed = 0.0
         if programme.start == "stationary" and programme.velocity:
-            speed = programme.velocity / self.pull.pace
-            before = contacts(ensemble, programme.velocity)
-            find_stationary(before, self.key, first, self.population, speed)
+            speed = programme.velocity / pace
+            for kind, group in zip(ensemble.kinds, self.groups, strict=True):
+                before = contacts(kind.contacts, programme.velocity)
+                find_stationary(before, group.key, group.first, group.population, speed)
         sums = self._follow(Piece(0.0, 0.0, 1.0))
         stretch = (preload or 0.0) / unit
         if speed and stage and preload is None:
@@ -355,9 +387,10 @@ class Slider:
         # True if the slider is always in balance or slips at an instant, and only moves
         # forwards, so that one break after the other can be followed. Under a force a
         # contact that forms again at once might make a slip without an end.
-        delay = self.laws.delay.mean
+        delay = self.groups[0].laws.delay.mean
         self.quasi_static = (
             not self.waits
+            and len(self.groups) == 1
             and (delay == math.inf or (delay == 0.0 and not self.pull.forced))
             and self.pull.damping == self.pull.mass == 0.0
             and not self.pull.motor
@@ -400,14 +433,18 @@ class Slider:
     def _follow(self, piece: Piece) -> Sums:
         """Follow all contacts along a piece. Returns sums divided by their number."""
         self.block_sums.fill(0.0)
-        moved = self.laws, piece, self.key
-        mine, *others = self.shares
+        mine, *others = [
+            (x.laws, piece._replace(duration=piece.duration / x.unit), x.key, *share)
+            for x, *share in self.shares
+        ]
         pool = self.pool
-        waiting = [pool.submit(advance, *moved, *share) for share in others if pool]
-        advance(*moved, *mine)
-        for other in waiting:
-            other.result()
-        return Sums(*(self.block_sums.sum(axis=0) / self.count).tolist())
+        waiting = [pool.submit(advance, *other) for other in others if pool]
+        for share in (mine,) if pool else (mine, *others):
+            advance(*share)
+        for waited in waiting:
+            waited.result()
+        total = (self.block_sums * self.factors).sum(axis=0)
+        return Sums(*(total / self.count).tolist())
 
     @property
     def _elastic(self) -> float:
@@ -471,7 +508,7 @@ class Slider:
         limited = self.pull.damping or self.pull.mass
         shortest = _SHORTEST_STEP if limited else 0.5**_HALVINGS * dt
         longest = 1.5 * self.longest
-        gone = now.sums.pinned == 0.0 and self.laws.delay.mean == math.inf
+        gone = now.sums.pinned == 0.0 and self.endless
         if gone and not self.pull.mass:  # nothing breaks, and the estimate is exact
             self.breaks = BreakRates(self.breaks.shortest)
             self.behind = Behind()
@@ -559,12 +596,10 @@ class Slider:
         if not pull.stiffness:
             spring, dY = self._applied(now.time + 0.5 * dt), dX
         damped = (spring - force) * dX - 0.5 * pull.mass * (V * V - now.V * now.V)
-        taken = damped  # by the motor itself
-        taken *= (
-            1.0 - self.drag * (1.0 - sums.pinned) / self._damping(sums)
-            if pull.motor
-            else 0.0
-        )
+        taken = 0.0  # by the motor itself
+        if pull.motor:
+            drag = self.drag * (1.0 - sums.pinned)
+            taken = damped * (1.0 - drag / self._damping(sums))
         missed = force * dX - (sums.stored - now.sums.stored) - sums.lost
         self.state = State(
             now.time + dt,

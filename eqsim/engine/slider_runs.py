@@ -113,7 +113,7 @@ def _slips(
 
 def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
     """`_in_steps` of a slider that is quasi-static."""
-    pull, start = slider.pull, slider.state
+    pull, start, group = slider.pull, slider.state, slider.groups[0]
     if pull.forced:
         times, loads = pull.knots
         stages = pull.force_at(instants)
@@ -123,7 +123,7 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledR
         moved = np.interp(instants, [0.0, *pull.ends], np.cumsum([0.0, *loaded]))
         stages = start.Y + moved
         times, loads = instants, stages
-    queue = avalanches.queue_of(slider.population)
+    queue = avalanches.queue_of(group.population)
     state = np.zeros(1, avalanches.STATE)
     now = state[0]
     now["Y"] = start.Y
@@ -135,12 +135,12 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledR
     with ThreadPool(1) as thread:
         for stage, row in zip(stages, course, strict=True):
             way = avalanches.Way(pull.stiffness, float(stage), thread.stop)
-            contacts = slider.laws, slider.key, slider.first, queue, state, way
+            contacts = group.laws, group.key, group.first, queue, state, way
             load = avalanches.EVENT, avalanches.load, *contacts
             found.append(thread.submit(avalanches.events_of, *load).result())
             xi = queue.threshold[queue.contact]
             pinned = np.isfinite(queue.position)  # the others never form again
-            stiffness = kappa(slider.laws.springs, xi) * pinned
+            stiffness = kappa(group.laws.springs, xi) * pinned
             stretch = np.where(pinned, now["X"] - queue.position + xi, 0.0)
             square = float(np.mean((stiffness * stretch) ** 2))
             spring = 0.5 * pull.stiffness * (stage - now["X"]) ** 2
@@ -183,14 +183,14 @@ def _by_events(
     """Runs of all replicas event by event. Fills `courses` (replicas, points) of
     `_COURSE`."""
     pull, law = pull_of(ensemble, programme), ensemble.thresholds
-    followed = events.follow_events(
+    sliders, every = events.follow_events(
         ensemble, programme, seed, instants, courses, threads, told
     )
-    ends = np.searchsorted(followed.bursts["replica"], np.arange(len(courses) + 1))
+    ends = np.searchsorted(every["replica"], np.arange(len(courses) + 1))
     runs = []
     for replica, course in enumerate(courses):
         course["stored"] -= course["stored"][0]
-        bursts = followed.bursts[ends[replica] : ends[replica + 1]]
+        bursts = every[ends[replica] : ends[replica + 1]]
         t, X, Y = (bursts[name] for name in ("t", "X", "Y"))
         slips = []
         if pull.stiffness and t.size:
@@ -200,7 +200,7 @@ def _by_events(
             slips = _slips(pull, least, course, *twice)
         names = "t", "X", "breaks", "drop", "distance"
         columns = {name: bursts[name] for name in names}
-        now = followed.sliders[replica]
+        now = sliders[replica]
         lives, lifetime = ensemble.count + int(now["breaks"]), float(now["lifetime"])
         runs.append(_PulledRun(course, slips, lives, columns, lifetime))
     return runs
@@ -297,7 +297,7 @@ def pulled(
         runs = _by_events(ensemble, programme, seed, instants, every, workers, told)
         lives = sum(run.lives for run in runs)
     for replica in range(0 if eventful else replicas):
-        start = ensemble, programme, seed, replica * ensemble.count, workers
+        start = ensemble, programme, seed, replica, workers
         with Slider(*start) as slider:
             begin = begin or time.perf_counter()  # when kernels are compiled
             follow = _break_by_break if slider.quasi_static else _in_steps
@@ -313,7 +313,7 @@ def pulled(
     mean = {name: np.mean(every[name], axis=0) for name in _COURSE.names or ()}
     for name in ("X", "stage") if gone.any() else ():
         mean[name] = np.ma.array(every[name], mask=gone).mean(axis=0).filled(math.nan)
-    delayed = ensemble.delay.time > 0
+    delayed = any(kind.contacts.delay.time > 0 for kind in ensemble.kinds)
     errors = {
         "X": np.zeros(grid.t.size),
         "friction": np.sqrt(mean["variance"]),

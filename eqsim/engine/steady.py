@@ -25,6 +25,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +41,7 @@ from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.delay import Waits
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
+from eqsim.model.mixture import mixed_averages, summed
 from eqsim.model.reduced import bare, drag_of
 from eqsim.numerics.streams import name_of
 from eqsim.numerics.tables import Array
@@ -144,6 +146,15 @@ def steady(
     require_drive(drive)
     require_number("rel_error", rel_error, above=0)
     require_number("max_lives", max_lives, above=0)
+    if ensemble.populations:
+        options: Any = {"rel_error": rel_error, "threads": threads, "plain": plain}
+        options |= {"max_lives": max_lives, "progress": progress}
+        kinds = ensemble.kinds
+        each = [steady(x.contacts, drive, seed=x.seed(seed), **options) for x in kinds]
+        mixed = mixed_averages(kinds, each, drive.velocity)
+        hidden = max(found.hidden for found in each)
+        total: Steady = summed(kinds, each, **mixed, seed=seed, hidden=hidden)
+        return total
     velocity, divergence = drive.velocity, ensemble.divergence
     rough = rough_stretch(ensemble, velocity)
     c = contacts(ensemble, velocity, rough)

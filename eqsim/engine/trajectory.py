@@ -8,7 +8,7 @@ Contacts do not act on each other, so each is followed on its own from start to 
 import math
 from dataclasses import replace
 from functools import lru_cache
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from eqsim.engine import programme, scatter
 from eqsim.engine.blocks import Progress, Threads, require_lives, simulated, workers_of
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.recorder import BATCHES, Run, Scales, Window
-from eqsim.engine.records import ProgrammeTrajectory, Trajectory
+from eqsim.engine.records import ProgrammeTrajectory, Trajectory, shown_by
 from eqsim.engine.sample import rough_stretch, square_of, typical_lives
 from eqsim.engine.scatter import Births, Scatter
 from eqsim.engine.slider_runs import pulled
@@ -25,8 +25,9 @@ from eqsim.engine.stationary import Fresh, stationary
 from eqsim.engine.steady import settled
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate
-from eqsim.model.drive import Drive, Output, Programme, require_drive
+from eqsim.model.drive import Drive, Output, Programme, over_distance, require_drive
 from eqsim.model.ensemble import Ensemble
+from eqsim.model.mixture import mixed_averages, summed
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY
 from eqsim.numerics.streams import key as key_of
@@ -41,6 +42,9 @@ def predicted_lives(
     """Predict the number of lives of a run, within a few per cent or somewhat too many:
     by Wald's identity a contact that uses up min(life and delay, distance) each time
     fills the distance."""
+    if ensemble.populations:
+        way, kinds = over_distance(drive, ensemble), ensemble.kinds
+        return sum(predicted_lives(kind.contacts, way, replicas) for kind in kinds)
     if isinstance(drive, Programme):
         lives = sum(programme.cycles(ensemble, drive))
         if drive.stage:
@@ -59,7 +63,8 @@ def check_run(
     """The predicted lives of a run. Raises InputError if it cannot be done, or takes
     more than `max_lives` lives."""
     if isinstance(drive, Programme):
-        programme.check_programme(ensemble, drive)
+        for kind in ensemble.kinds:
+            programme.check_programme(kind.contacts, drive)
     else:
         require_drive(drive)
         if drive.start == "stationary":
@@ -166,6 +171,8 @@ def trajectory(
     progress = guarded(progress, expected, max_lives)
     if isinstance(drive, Programme) and drive.pulled:
         return pulled(ensemble, drive, output, threads, progress)
+    if ensemble.populations:
+        return _of_kinds(ensemble, drive, output, threads, progress)
     if isinstance(drive, Programme):
         return programme.along(ensemble, drive, output, threads, progress)
     workers = workers_of(threads)
@@ -219,6 +226,38 @@ def trajectory(
         seed=seed,
         **done.columns(unit),
     )
+
+
+def _of_kinds(
+    ensemble: Ensemble,
+    drive: Drive | Programme,
+    output: Output,
+    threads: Threads,
+    progress: Progress,
+) -> Trajectory | ProgrammeTrajectory:
+    """Simulate one kind of contacts after the other, and sum over kinds."""
+    way, kinds, runs = over_distance(drive, ensemble), ensemble.kinds, list[Any]()
+    for kind in kinds:
+        before = sum(run.lives for run in runs)
+        run = trajectory(
+            kind.contacts,
+            way,
+            points=output.points,
+            seed=kind.seed(output.seed),
+            replicas=output.replicas,
+            threads=threads,
+            max_lives=math.inf,
+            progress=lambda done, before=before: progress(before + done),
+        )
+        runs.append(run)
+    total = summed(kinds, runs, seed=output.seed)
+    if isinstance(drive, Drive):
+        averages = [run.averages for run in runs]
+        mixed = mixed_averages(kinds, averages, drive.velocity)
+        return replace(total, averages=Averages(**mixed))
+    shown = total.force, total.force_stderr, total.force_reliable
+    segments = shown_by(drive, drive.grid(output.points), *shown)
+    return replace(total, segments=segments)
 
 
 @lru_cache(maxsize=32)

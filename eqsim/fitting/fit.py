@@ -249,7 +249,8 @@ def prepare(file: RunFile, data: Path | None, allow_degenerate: bool) -> Prepare
     section = section_of(file)
     free = parameters_of(file, section)
     table = _measured(file, section, data)
-    _ = file.ensemble
+    if file.ensemble.populations:
+        raise InputError("population: not allowed with [fit]")
     scales, _ = section.scales(table.sets)
     if scales and not {"friction", "force_std"} & set(table.observable):
         raise InputError("fit.scale: no force was measured; give a fixed scale = 1.0")

@@ -64,7 +64,9 @@ def column(name: str, units: Units, fractions: bool = False) -> tuple[str, str]:
 
 
 def _is_key(name: str) -> bool:
-    return name in catalogue.KEYS or name.startswith("drive.programme.")
+    return name in catalogue.KEYS or name.startswith(
+        ("drive.programme.", "population.")
+    )
 
 
 def _is_fraction(name: str, fractions: bool) -> bool:
@@ -151,6 +153,8 @@ def described(contacts: Ensemble, units: Units, tex: bool = False) -> str:
         springs = "uniform stiffness"
     parts = [f"{count} {contacts.disorder} contact{'s' * (contacts.count != 1)}"]
     parts.append(springs)
+    if contacts.populations:
+        return ", ".join([*parts, f"{len(contacts.populations)} populations"])
     kT, energy = contacts.thermal.kT, contacts.stiffness * contacts.thresholds.scale**2
     kelvin = units.kelvin(kT)
     if not kT:

@@ -41,7 +41,7 @@ from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Table, ThresholdLaw
 from eqsim.model.drive import Drive, Output, Programme, Segment, Stage, require_drive
 from eqsim.model.elastic import Elastic
-from eqsim.model.ensemble import Disorder, Ensemble
+from eqsim.model.ensemble import Disorder, Ensemble, Population
 from eqsim.results import Listed
 
 Section = TypeVar("Section")
@@ -120,7 +120,10 @@ class RunFile(Listed):
         natural = tuple(
             symbol
             for symbol, (key, value) in keys.items()
-            if value == 1.0 and key not in varied and "file" not in self.sweep
+            if value == 1.0
+            and key not in varied
+            and "file" not in self.sweep
+            and not self["population"]
         )
         return replace(self._section(Units, "units"), natural=natural)
 
@@ -159,6 +162,18 @@ class RunFile(Listed):
     @cached_property
     def ensemble(self) -> Ensemble:
         """The contacts. Raises InputError."""
+        alone, kinds = self._contacts(), []
+        for index, given in enumerate(self["population"] or []):
+            with under(f"population.{index}"):
+                require_number("stiffness", given["stiffness"], **POSITIVE)
+                kind = _population(self, index)._contacts()
+                laws = {name: getattr(kind, name) for name in schema.OF_POPULATION}
+                kinds.append(Population(given["share"], kind.stiffness, **laws))
+        return replace(alone, populations=kinds)
+
+    def _contacts(self) -> Ensemble:
+        """The contacts of one kind that the keys at the top declare. Raises
+        InputError."""
         disorder, eta = self["disorder"], self["viscosity.eta"]
         heat = {k: v for k, v in self["thermal"].items() if k != "temperature"}
         with under("thermal"):
@@ -356,6 +371,21 @@ class RunFile(Listed):
         return rows_of(averages, self.units, self.quantities)
 
 
+def _population(file: RunFile, index: int) -> RunFile:
+    """The run file of one population alone. Raises InputError."""
+    data = copied(file.given, without=("population", "sweep", "fit"))
+    for name, given in file.given["population"][index].items():
+        if name == "stiffness":
+            data.setdefault("contacts", {})[name] = given
+        elif name != "share":
+            _without_alternatives(
+                data, {f"{name}.{key}": x for key, x in given.items()}
+            )
+            alone = given.keys() & {"law", "rule"}
+            data[name] = given if alone else data.get(name, {}) | given
+    return check(data, file.folder)
+
+
 def _require_law(key: str, given: dict[str, Any], laws: tuple[str, ...]) -> None:
     """Raise InputError if a section has keys, but not the one that names its law."""
     section, name = key.split(".")
@@ -470,7 +500,7 @@ def _put(data: dict[str, Any], path: list[str], key: str, value: Any) -> None:
         if not isinstance(place, (dict, list)):
             raise InputError(f"{key}: {name} is not a section")
     if isinstance(place, list):
-        said = f"must name a key of a segment, as in drive.programme.0.{last}"
+        said = f"must name one of the list, as in {'.'.join(sections)}.0.{last}"
         raise InputError(f"{key}: {said}")
     place[last] = value
 
@@ -521,13 +551,20 @@ _PARAMETERS: dict[str, type] = {
     and not name.startswith(
         ("elastic.", "units.", "interface.", "drive.programme.", "drive.stage.")
     )
+    and not name.startswith("population.")
+}
+# Likewise of a population.
+_OF_POPULATION: dict[str, type] = {
+    name.removeprefix("population."): key.kind
+    for name, key in schema.KEYS.items()
+    if name.partition(".")[0] in ("population", *schema.OF_POPULATION)
 }
 
 
 def keys(file: RunFile | None = None) -> dict[str, type]:
     """Every `section.key` (or top-level key) but `title`, `sweep`, `units` and
     `interface`, and the type of its values: float, int or str. Given a `file`, also
-    those that its programme, stage or coupled blocks have, such as
+    those that its programme, stage, coupled blocks or populations have, such as
     drive.programme.1.hold."""
     known = dict(_PARAMETERS)
     if file is None:
@@ -536,6 +573,8 @@ def keys(file: RunFile | None = None) -> dict[str, type]:
         if file[section]:
             below = schema.keys_of(section).items()
             known |= {f"{section}.{name}": key.kind for name, key in below}
+    for index in range(len(file["population"] or [])):
+        known |= {f"population.{index}.{n}": kind for n, kind in _OF_POPULATION.items()}
     kinds = {n: key.kind for n, key in schema.keys_of("drive.programme").items()}
     for index, segment in enumerate(file["drive.programme"] or []):
         given = (name for name, value in segment.items() if value is not None)
@@ -585,6 +624,11 @@ def check(data: dict[str, Any], folder: Path = Path()) -> RunFile:
     file = RunFile(given, content.model_dump(), folder=folder)
     _heat(file)
     _ = file.units, file.interface, file.output
+    for index, population in enumerate(file.settings["population"] or []):
+        with under(f"population.{index}"):
+            merged = _population(file, index).settings
+        population |= {name: merged[name] for name in schema.OF_POPULATION}
+        population["stiffness"] = merged["contacts"]["stiffness"]
     return file
 
 

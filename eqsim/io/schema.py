@@ -25,11 +25,12 @@ from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.model.drive import Drive, Output, Segment, Stage
 from eqsim.model.elastic import Elastic
-from eqsim.model.ensemble import Ensemble
+from eqsim.model.ensemble import Ensemble, Population
 
 _DATACLASSES: dict[str, Any] = {
     "": Ensemble,
     "contacts": Ensemble,
+    "population": Population,
     "thermal": Thermal,
     "newborn": Newborn,
     "aging": Aging,
@@ -43,6 +44,8 @@ _DATACLASSES: dict[str, Any] = {
     "units": Units,
     "interface": Interface,
 }
+# Sections that a population may have, too.
+OF_POPULATION = ("thresholds", "thermal", "delay", "aging", "newborn")
 _DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
 
 
@@ -117,7 +120,8 @@ def keys_of(section: str) -> dict[str, Key]:
 
 def _schema(section: str) -> Any:
     """A pydantic model that checks names and types of the keys of a section. [elastic]
-    and a stage are there or not, and a programme is a list."""
+    and a stage are there or not; a programme is a list, and so are populations, which
+    have sections."""
     keys: dict[str, Any] = {
         name: (key.annotation, key.default) for name, key in keys_of(section).items()
     }
@@ -125,12 +129,14 @@ def _schema(section: str) -> Any:
         above, _, last = name.rpartition(".")
         if above == section and last:
             below = _schema(name)
-            if last == "programme":
+            if last in ("programme", "population"):
                 keys[last] = list[below] | None, None  # type: ignore[valid-type]
             elif last in ("stage", "elastic"):
                 keys[last] = below | None, None
             else:
                 keys[last] = below, below()
+    for name in OF_POPULATION if section == "population" else ():
+        keys[name] = _schema(name), _schema(name)()
     config = pydantic.ConfigDict(extra="forbid", strict=True, frozen=True)
     return pydantic.create_model(section or "run file", __config__=config, **keys)
 
@@ -187,7 +193,7 @@ def _explain(error: pydantic.ValidationError) -> str:
 def _nearest(location: list[str]) -> str:
     """A hint which key may have been meant, here or in another section."""
     *sections, last = (part for part in location if not part.isdecimal())
-    section = ".".join(sections)
+    section = ".".join(sections).removeprefix("population.")
     below = (name.rpartition(".") for name in catalogue.SECTIONS if name)
     here = [*keys_of(section), *(name for above, _, name in below if above == section)]
     elsewhere = [name for name in KEYS if name.count(".") == 1]

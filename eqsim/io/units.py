@@ -266,7 +266,7 @@ def quantities(
     """
     if not interface and not units.force:
         return ()
-    k, count = ensemble.stiffness, ensemble.count
+    k, count = ensemble.mean_stiffness, ensemble.count
     force, density = interface.contacts(count) * k, interface.density(count)
     found = [Quantity("force", "F", force, units.label(FORCE))]
     if density is not None:
@@ -296,7 +296,7 @@ def scales(ensemble: Ensemble, units: Units, interface: Interface) -> list[Group
         return Group(f"{name} ({units.label(dimension(of)) or of})", value, meaning)
 
     found = [group("x_*", "length", unit, "scale of thresholds, a length")]
-    stiffness = ensemble.stiffness
+    stiffness = ensemble.mean_stiffness
     found.append(group("k", "force/length", stiffness, "stiffness of a contact"))
     if kelvin is not None:
         said = "temperature, kT over the constant of Boltzmann"

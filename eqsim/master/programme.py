@@ -22,7 +22,7 @@ extrapolated as of second order, and its error.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -283,7 +283,9 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
     time = sum(segment.duration for segment in programme.segments)
     velocity = np.array([segment.velocity for segment in programme.segments])
     before = (programme.start == "stationary" and programme.velocity) or 0.0
-    legs(ensemble, programme)  # raises for numbers out of range
+    speed = legs(ensemble, programme)[0].pace
+    delay = ensemble.delay.at(ensemble.thermal.kT, speed)
+    ensemble = replace(ensemble, delay=delay)
     ends = np.cumsum([segment.duration for segment in programme.segments]) / time
     return reduced(ensemble, unit / time), Course(
         ends, velocity * (time / unit), before * (time / unit)

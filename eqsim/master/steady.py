@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError
-from eqsim.estimate import Averages, Estimate, infinite
+from eqsim.estimate import Averages, Estimate, infinite, known
 from eqsim.laws.aging import Aging
 from eqsim.laws.threshold import Gamma
 from eqsim.master.annealed import Ageing, annealed_moments
@@ -18,6 +18,7 @@ from eqsim.master.quenched import LifeMoments, integrals_beyond
 from eqsim.master.solvers import PUBLISHED, method_of, moments_of
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
+from eqsim.model.mixture import mixed_averages
 from eqsim.model.reduced import Reduced, bare, delay_of, drag_of, reduced
 from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
@@ -128,6 +129,8 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     0.883883, 1.0
     """
     require_drive(drive)
+    if ensemble.populations:
+        return _mixed(ensemble, drive, variance)
     v, stretched = drive.velocity, ensemble.newborn.active
     divergence = ensemble.divergence if variance or stretched else ""
     square = variance and not (divergence or stretched)
@@ -145,6 +148,20 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     published = ensemble.disorder == "annealed" and ensemble.aging.active
     method = PUBLISHED if published else method_of(reduced(alone, v))
     return Reference(**found, method=method)
+
+
+def _mixed(ensemble: Ensemble, drive: Drive, variance: bool) -> Reference:
+    """`reference` of several kinds of contacts."""
+    kinds, v = ensemble.kinds, drive.velocity
+    each = [reference(kind.contacts, drive, variance=variance) for kind in kinds]
+    found = mixed_averages(kinds, each, v, bounds=True)
+    drag = drag_of(ensemble, v) * ensemble.thresholds.scale
+    friction, pinned = known(found["friction"]), known(found["pinned"])
+    f_k = (friction - drag * (1.0 - pinned)) / pinned
+    error = found["friction"].stderr or 0.0
+    error += abs(drag - f_k) * (found["pinned"].stderr or 0.0)
+    method = "; ".join(dict.fromkeys(one.method for one in each))
+    return Reference(**found, f_k=Estimate(f_k, error / pinned, 0), method=method)
 
 
 def curve(ensemble: Ensemble, velocities: Array) -> Curve:
@@ -177,9 +194,14 @@ def curve(ensemble: Ensemble, velocities: Array) -> Curve:
     v = np.asarray(velocities, float)
     if v.ndim != 1 or not v.size:
         raise InputError("velocities: must be a list of at least one velocity")
-    every = tuple(v.tolist())
+    every, names = tuple(v.tolist()), ("friction", "pinned", "break_stretch")
+    if ensemble.populations:
+        exact = [reference(ensemble, Drive(velocity)) for velocity in every]
+        pairs = [[getattr(one, name) for one in exact] for name in names]
+        values = [np.array([one.value for one in column]) for column in pairs]
+        return Curve(v, *values, *(np.array([x.stderr for x in y]) for y in pairs))
     found = _observables(ensemble, every, lives_of(bare(ensemble), every))
-    basic = [found[name] for name in ("friction", "pinned", "break_stretch")]
+    basic = [found[name] for name in names]
     return Curve(v, *(value for value, _ in basic), *(error for _, error in basic))
 
 

@@ -31,14 +31,15 @@ from scipy.interpolate import CubicSpline
 
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import known
-from eqsim.laws.delay import Fixed
+from eqsim.laws.delay import Exponential, Fixed
 from eqsim.master import programme, slider
 from eqsim.master.profile import Profile, profile_of
 from eqsim.master.programme import Transient as Transient
 from eqsim.master.quenched import integrals_beyond
 from eqsim.master.steady import reference, settled
-from eqsim.model.drive import Drive, Programme, require_drive
+from eqsim.model.drive import Drive, Programme, over_distance, require_drive
 from eqsim.model.ensemble import Ensemble
+from eqsim.model.mixture import summed
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.quadrature import extrapolated, largest_nearby
 from eqsim.numerics.tables import Array
@@ -110,6 +111,12 @@ def transient(
     [0.0, 0.8579, 0.8727, 0.8897]
     """
     require_integer("points", points, 2, 10**8)
+    pulled = isinstance(drive, Programme) and drive.stage
+    if ensemble.populations and not pulled:
+        way, kinds = over_distance(drive, ensemble), ensemble.kinds
+        each = [transient(x.contacts, way, points, variance=variance) for x in kinds]
+        mixed: Transient = summed(kinds, each)
+        return mixed
     if isinstance(drive, Programme):
         grid = drive.grid(points)
         solve = slider.pulled_of if drive.stage else programme.means_along
@@ -425,6 +432,11 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     require_drive(drive)
     ensemble.require_steady_state()
     require_integer("points", points, 2, 10**6)
+    if ensemble.populations:
+        way, kinds = over_distance(drive, ensemble), ensemble.kinds
+        each = [fluctuations(kind.contacts, way, points) for kind in kinds]
+        mixed: Fluctuations = summed(kinds, each)
+        return mixed
     s, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
     distance = drive.over(ensemble)
     if s.aging.stiffens and s.stiffness == "sqrt":
@@ -492,6 +504,11 @@ def _reborn(fresh: Array, x: Array, contacts: Reduced) -> tuple[Array, Array]:
         late = total(np.maximum(x - delay, 0.0))
         force = drag * np.maximum(1.0 - x / delay, 0.0) + (total(x) - late) / delay
         return drag * np.minimum(x, delay) + late, force
+    if not isinstance(contacts.delay, Exponential):
+        # y: fresh * P(delay > x)
+        left = contacts.delay.rest(x)
+        y = after(0.5 * (fresh[:-1] + fresh[1:]), -np.diff(left))
+        return drag * (delay - left) + total(x) - y, (drag * left + y) / delay
     # y' = (fresh - y)/delay, the mean force of those already pinned again, with fresh
     # linear in each cell
     ratio = x[1] / delay

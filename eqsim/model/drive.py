@@ -1,8 +1,8 @@
 """Drives of the slider, and the recording of a run."""
 
 import math
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -70,8 +70,15 @@ class Drive:
     def over(self, ensemble: Ensemble) -> float:
         """The distance, with its default filled in."""
         if self.distance is None:
-            return 200.0 * ensemble.thresholds.mean
+            kinds = ensemble.kinds
+            return 200.0 * max(kind.contacts.thresholds.mean for kind in kinds)
         return self.distance
+
+
+def over_distance(drive: Any, ensemble: Ensemble) -> Any:
+    """A drive or programme with its distance, the same for all kinds of contacts."""
+    way = drive.over(ensemble) if isinstance(drive, Drive) else None
+    return replace(drive, distance=way) if way else drive
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,10 @@
 """An interface of N contacts."""
 
 import math
-from dataclasses import dataclass
-from typing import Any, Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
 
 from eqsim.errors import (
     NOT_NEGATIVE,
@@ -22,13 +24,74 @@ from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import StiffnessLaw
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Gamma, ThresholdLaw, diverges, tail_exponent
+from eqsim.numerics.streams import seed_named
 
 Disorder = Literal["quenched", "annealed"]
 
 
 @dataclass(frozen=True)
+class Population:
+    """Contacts of one kind in an ensemble of several, such as strong and weak ones.
+
+    Raises InputError for a share out of range.
+
+    Parameters
+    ----------
+    share : float
+        Share of the contacts, > 0, relative to the sum of all shares. N contacts are
+        divided by largest remainders; every result is of the N_p contacts found so.
+    stiffness, thresholds, thermal, delay, aging, newborn : optional
+        As in `Ensemble`, and by default those of the ensemble.
+
+    Examples
+    --------
+    >>> weak, strong = Population(0.9), Population(0.1, stiffness=5.0)
+    >>> Ensemble(populations=(weak, strong)).mean_stiffness
+    1.4
+    """
+
+    share: float
+    stiffness: float | None = None
+    thresholds: ThresholdLaw | None = None
+    thermal: Thermal | None = None
+    delay: Delay | None = None
+    aging: Aging | None = None
+    newborn: Newborn | None = None
+
+    def __post_init__(self) -> None:
+        require_number("share", self.share, **POSITIVE)
+
+
+class Kind(NamedTuple):
+    """The contacts of one kind, of population `number`, alone; their shares of the
+    number and of the stiffness of all contacts, s = N_p/N and w = N_p k_p/(N k), and
+    w^2/s, by which variances are weighted."""
+
+    number: int
+    contacts: "Ensemble"
+    share: float = 1.0
+    weight: float = 1.0
+    square: float = 1.0
+
+    def seed(self, seed: int) -> int:
+        """A seed for each kind; the `seed` of the ensemble for the first."""
+        return seed_named(seed, self.number) if self.number else seed
+
+
+def split(count: int, shares: Sequence[float]) -> list[int]:
+    """Divide `count` in proportion to `shares` by largest remainders, of equal ones the
+    first."""
+    exact = [count * share / math.fsum(shares) for share in shares]
+    numbers = [math.floor(number) for number in exact]
+    by_rest = sorted(range(len(exact)), key=lambda i: numbers[i] - exact[i])
+    for i in by_rest[: count - sum(numbers)]:
+        numbers[i] += 1
+    return numbers
+
+
+@dataclass(frozen=True)
 class Ensemble:
-    """N contacts of one kind (section 1 of Braun and Peyrard, 2011).
+    """N contacts of one kind (section 1 of Braun and Peyrard, 2011), or of several.
 
     Raises InputError for a value out of range, or laws that do not go together.
 
@@ -58,6 +121,9 @@ class Ensemble:
         Viscous coefficient of a detached contact, of force eta v.
     newborn : Newborn
         Law of their stretches at birth.
+    populations : sequence of Population
+        Kinds of contacts, of which k is the mean stiffness; the values above are those
+        that a population does not give.
 
     Examples
     --------
@@ -76,6 +142,7 @@ class Ensemble:
     disorder: Disorder = "quenched"
     eta: float = 0.0
     newborn: Newborn = Newborn()
+    populations: Sequence[Population] = ()
 
     def __post_init__(self) -> None:
         if not hasattr(self.thresholds, "declared"):
@@ -96,6 +163,35 @@ class Ensemble:
         self.aging.check(self.thresholds, self.disorder)
         with under("newborn"):
             self.newborn.check(self.thresholds, self.disorder, self.aging.active)
+        object.__setattr__(self, "populations", tuple(self.populations))  # for its hash
+        _ = self.kinds
+
+    @cached_property
+    def kinds(self) -> tuple[Kind, ...]:
+        """The kinds of contacts, but for populations that none of the N belongs to.
+        Raises InputError for laws that do not go together."""
+        if not self.populations:
+            return (Kind(0, self),)
+        numbers, alone = split(self.count, [x.share for x in self.populations]), []
+        for index, population in enumerate(self.populations):
+            given = {k: x for k, x in vars(population).items() if x is not None}
+            given["count"] = max(numbers[index], 1)
+            del given["share"]
+            with under(f"population.{index}"):
+                alone.append(replace(self, populations=(), **given))
+        share = [n / self.count for n in numbers]
+        forces = [s * x.stiffness for s, x in zip(share, alone, strict=True)]
+        weight = [force / math.fsum(forces) for force in forces]
+        return tuple(
+            Kind(i, kind, share[i], weight[i], weight[i] ** 2 / share[i])
+            for i, kind in enumerate(alone)
+            if numbers[i]
+        )
+
+    @property
+    def mean_stiffness(self) -> float:
+        """k (force/length), the mean over all contacts."""
+        return math.fsum(kind.share * kind.contacts.stiffness for kind in self.kinds)
 
     def declared(self, velocity: float) -> tuple[Any, ...]:
         """List what a life depends on, as it was declared, for the names of random
@@ -119,15 +215,20 @@ class Ensemble:
             *law,
             *heat,
             delay.law,
-            delay.time * velocity / unit,
+            self.delay_time(velocity) * velocity / unit,
+            *delay.parameters,
             *ages,
             *births,
         )
 
+    def delay_time(self, velocity: float) -> float:
+        """Mean delay (time) at the ensemble's temperature and a velocity."""
+        return self.delay.at(self.thermal.kT, velocity).time
+
     def require_steady_state(self) -> None:
         """Raise InputError if no contact is pinned in the steady state, as none forms
         again."""
-        if self.delay.time == math.inf:
+        if self.delay_time(1.0) == math.inf:
             raise InputError(
                 "delay.time = inf: no contact forms again, and none is pinned in the "
                 'steady state; take drive.start = "fresh"'
@@ -144,6 +245,8 @@ class Ensemble:
     def fluctuates(self) -> bool:
         """True if thresholds fluctuate while pinned: quenched contacts that age by
         `langevin`."""
+        if self.populations:
+            return any(kind.contacts.fluctuates for kind in self.kinds)
         aging = self.aging
         fluctuate = aging.active and RULES[aging.rule].fluctuates
         return fluctuate and self.disorder == "quenched"
@@ -157,7 +260,10 @@ class Ensemble:
         strongest lives by more than a factor: barriers outgrow temperature, pooled
         attempts are a finite number.
         """
-        if self.delay.time == math.inf:
+        if self.populations:
+            found = (kind.contacts.divergence for kind in self.kinds)
+            return next(filter(None, found), "")
+        if self.delay_time(1.0) == math.inf:
             return ""  # all contacts are detached
         power = 5 if self.stiffness_law == "sqrt" else 3
         if isinstance(self.thresholds, Gamma) or not diverges(self.thresholds, power):

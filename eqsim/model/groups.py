@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS
-from eqsim.model.drive import Drive, Programme
+from eqsim.model.drive import Drive, Programme, over_distance
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import drag_of, legs, pull_of
+from eqsim.model.reduced import delay_of, drag_of, legs, pull_of
 from eqsim.paper import equation
 
 # b, or 1/b, beyond which units were probably mixed.
@@ -29,7 +29,15 @@ class Group(NamedTuple):
 
 def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
     """List what decides the regime of a run; along a programme velocity is that of its
-    fastest segment. Raises InputError."""
+    fastest segment. Those of several kinds of contacts are numbered. Raises
+    InputError."""
+    if ensemble.populations:
+        way, found = over_distance(drive, ensemble), list[Group]()
+        for kind in ensemble.kinds:
+            each = [Group("N", kind.contacts.count, "contacts of this population")]
+            each += groups(kind.contacts, way)
+            found += [one._replace(name=f"{kind.number}: {one.name}") for one in each]
+        return found
     if isinstance(drive, Drive):
         rows = [*_of_contacts(ensemble, drive.velocity)]
         distance = drive.over(ensemble) / ensemble.thresholds.scale
@@ -87,7 +95,7 @@ def _of_contacts(ensemble: Ensemble, v: float) -> Rows:
         yield f"least y/{per}", low, tail.format("a normal", "below")
         yield f"greatest y/{per}", high, tail.format("an unbounded", "above")
     if ensemble.delay.time > 0:
-        slid = v * ensemble.delay.time / unit
+        slid = delay_of(ensemble, v).mean
         yield "v tau/x_*", slid, "distance slid while detached"
     if ensemble.eta > 0:
         yield "eta v/(k x_*)", drag_of(ensemble, v), "viscous force, detached"

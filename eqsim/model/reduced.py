@@ -10,7 +10,7 @@ energy in units of kT. What a key of a run file is called afterwards, and where:
     aging.rate                 alpha     4 D x_*/(v x_*f^2)     aging, `Aging.alpha`
     aging.x_star_final         final2    (x_*f/x_*)^2           aging
     aging.cutoff_time          per_time  x_*/(v t_c)            aging
-    delay.time                 mean      v tau/x_*              delay
+    delay.time                 mean      v tau/x_*, `Delay.at`  delay
     viscosity.eta              drag      eta v/(k x_*)
     newborn.*                  the same  y/x_*, or y/xi         `Newborn.reduced`
     drive.stage.damping        damping   eta_s v/x_*            `Pull`
@@ -37,7 +37,7 @@ from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, und
 from eqsim.laws.aging import AgingLaw, Unaged
 from eqsim.laws.barrier import BARRIERS, Barrier, Mechanical
 from eqsim.laws.barrier.base import require_whole
-from eqsim.laws.delay import Delay, Exponential, Fixed
+from eqsim.laws.delay import Delay, DelayLaw
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import Springs, StiffnessLaw
 from eqsim.laws.threshold import Gamma, ThresholdLaw
@@ -72,7 +72,7 @@ class Reduced(NamedTuple):
     aging : AgingLaw
         Of quenched contacts, with the numbers of its rule (`laws.aging.base`,
         `laws.aging.logarithmic`).
-    delay : Fixed | Exponential
+    delay : DelayLaw
         With mean v<tau>/x_*.
     drag : float
         eta v/(k x_*), force of a detached contact.
@@ -88,7 +88,7 @@ class Reduced(NamedTuple):
     annealed: bool
     barrier: Barrier
     aging: AgingLaw
-    delay: Fixed | Exponential
+    delay: DelayLaw
     drag: float
     newborn: Newborn = Newborn()
     one_sided: bool = False
@@ -125,9 +125,12 @@ def reduced(
     Raises
     ------
     InputError
-        If a dimensionless number is out of range: the one set of limits.
+        If a dimensionless number is out of range: the one set of limits; and for
+        contacts of several kinds, which have numbers of their own each.
     """
     require_number("velocity", velocity, **POSITIVE)
+    if ensemble.populations:
+        raise InputError("population: this needs contacts of one kind")
     law, aging = births(ensemble, velocity, mean_stretch), ensemble.aging
     unit, newborn = law.scale, law is ensemble.thresholds
     barrier = _barrier(ensemble, velocity, unit)
@@ -169,7 +172,16 @@ class Leg(NamedTuple):
 
 def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
     """The segments of a programme. Raises InputError if one is out of range, and for
-    the steady state of contacts that never form again."""
+    the steady state of contacts that never form again, and delays that depend on the
+    velocity unless there is but one speed."""
+    speeds = {abs(segment.velocity) for segment in programme.segments}
+    if programme.start == "stationary":
+        speeds.add(programme.velocity or 0.0)
+    if ensemble.delay.velocity_exponent and (len(speeds) > 1 or programme.pulled):
+        raise InputError(
+            f"delay.velocity_exponent = {ensemble.delay.velocity_exponent:g}: must be 0 "
+            "with a stage, a hold, and segments of several velocities"
+        )
     if programme.start == "stationary":
         ensemble.require_steady_state()
     unit, segments = ensemble.thresholds.scale, programme.segments
@@ -314,19 +326,20 @@ def births(
     return aging.pooled(law, decay)
 
 
-def delay_of(ensemble: Ensemble, velocity: float) -> Fixed | Exponential:
+def delay_of(ensemble: Ensemble, velocity: float) -> DelayLaw:
     """The law of v tau/x_*. Raises InputError if its mean is beyond 1e100, but
     finite."""
-    delay = ensemble.delay.reduced(velocity, ensemble.thresholds.scale)
-    if delay.mean != math.inf:
-        require_number("velocity * delay / threshold", delay.mean, least=0, most=1e100)
-    return delay
+    delay = ensemble.delay.at(ensemble.thermal.kT, velocity)
+    law = delay.reduced(velocity, ensemble.thresholds.scale)
+    if law.mean != math.inf:
+        require_number("velocity * delay / threshold", law.mean, least=0, most=1e100)
+    return law
 
 
 def drag_of(ensemble: Ensemble, velocity: float) -> float:
     """eta v/(k x_*), force of a detached contact. Raises InputError if it is beyond
     1e100."""
-    drag = ensemble.eta / ensemble.stiffness * velocity / ensemble.thresholds.scale
+    drag = ensemble.eta / ensemble.mean_stiffness * velocity / ensemble.thresholds.scale
     require_number("eta * velocity / (stiffness * threshold)", drag, **NOT_NEGATIVE)
     return drag
 

@@ -39,6 +39,11 @@ def key(seed: int, purpose: int) -> Key:
     return Key(np.uint64(words[0]), np.uint64(words[1]))
 
 
+def seed_named(*name: int) -> int:
+    """A seed below 2^63 for the stream of random numbers with this name."""
+    return int(np.random.SeedSequence(name).generate_state(1, np.uint64)[0] >> 1)
+
+
 def generator(*name: int) -> np.random.Generator:
     """NumPy generator of the stream with this name. It has the first child of the name
     as a seed, as SciPy's Sobol sequence has, whose bits `numerics.sobol` repeats."""

@@ -19,6 +19,8 @@ from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps.rows import Task
 
 MOST_POINTS = 1_000_000
+# Beginnings of keys that only some run files have.
+_IN_FILES = ("drive.programme", "drive.stage", "population")
 
 
 class Plan:
@@ -139,7 +141,7 @@ def entries(
     which TOML reads as tables; a table is a value if it has one of the `leaves`."""
     above = {"fit", *(key.split(".")[0] for key in keys() if "." in key)}
     for key, value in table.items():
-        nested = key in above or key.startswith(("drive.programme", "drive.stage"))
+        nested = key in above or key.startswith(_IN_FILES)
         if nested and isinstance(value, dict) and not set(leaves) & value.keys():
             named = {f"{key}.{name}": part for name, part in value.items()}
             yield from entries(named, leaves)

@@ -168,7 +168,9 @@ class Store:
         values |= {f"sweep.{key}": value for key, value in entries(file.sweep)}
         values["order of axes"] = [*file.sweep]
         texts = {key: repr(value) for key, value in values.items()}
-        for name in {file["thresholds.file"], file.sweep.get("file")} - {None}:
+        tables = [file["thresholds.file"], file.sweep.get("file")]
+        tables += [x["thresholds"]["file"] for x in file["population"] or []]
+        for name in {*tables} - {None}:
             content = (file.folder / str(name)).read_bytes()
             texts[f"content of {name}"] = _digest(content)
         return texts | {"schema": str(SCHEMA), _VERSION: str(RESULTS_VERSION)}

@@ -13,6 +13,7 @@ from eqsim.estimate import Estimate, known, z_score
 from eqsim.laws.aging import RULES, Aging
 from eqsim.model.drive import Drive, Stage, Start
 from eqsim.model.ensemble import Ensemble
+from eqsim.numerics.streams import seed_named
 from eqsim.numerics.tables import Array
 from eqsim.validation.points import Suite, law_text
 
@@ -85,7 +86,7 @@ class Point(NamedTuple):
 
     def stream(self, *numbers: int) -> int:
         """A seed for this point and these numbers."""
-        return stream(self.seed, *numbers)
+        return seed_named(self.seed, *numbers)
 
     def rng(self, number: int) -> np.random.Generator:
         """A generator for this point and this number."""
@@ -151,11 +152,6 @@ def compares(
 ) -> Callable[[Callable[[Point, Suite], Found]], Comparison]:
     """Decorate a function that scores these kinds: it becomes a `Comparison`."""
     return lambda make: Comparison(kinds, each, make)
-
-
-def stream(*numbers: int) -> int:
-    """A seed below 2^63 from these numbers, for one stream of random numbers."""
-    return int(np.random.SeedSequence(numbers).generate_state(1, np.uint64)[0] >> 1)
 
 
 def columns(scores: list[Score]) -> dict[str, list[Any]]:

@@ -27,6 +27,7 @@ from scipy import stats
 
 from eqsim.errors import require_choice
 from eqsim.model.ensemble import Ensemble
+from eqsim.numerics.streams import seed_named
 from eqsim.validation import pulled, scores
 from eqsim.validation.comparison import (
     DECLINED,
@@ -35,7 +36,6 @@ from eqsim.validation.comparison import (
     Score,
     Unscored,
     columns,
-    stream,
 )
 from eqsim.validation.points import SUITES, WHOLE, Part, sample
 
@@ -211,7 +211,7 @@ def validate(
     total = len(range(first, plan.points, step))
     for done, (index, ensemble, v) in enumerate(sample(plan.points, seed, part), 1):
         shown = wrong(ensemble) if wrong else ensemble
-        drawn = stream(seed, index)
+        drawn = seed_named(seed, index)
         point = Point(index, ensemble, shown, v, drawn, seed, threads)
         every += scores.compare_driven(point, plan) + pulled.compare_pulled(point, plan)
         if progress:

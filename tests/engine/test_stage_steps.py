@@ -23,7 +23,7 @@ def fixed(stage, dt, replicas):
     stage) throughout."""
     programme, found = Programme([Segment(0.1, distance=4.0)], stage=stage), []
     for replica in range(replicas):
-        with Slider(WARM, programme, 1, replica * WARM.count, 1) as pulled:
+        with Slider(WARM, programme, 1, replica, 1) as pulled:
             pulled.longest = pulled.tolerance = 1e100
             while pulled.state.time < 4.0:
                 pulled.dt = dt

@@ -148,9 +148,10 @@ def test_avalanches_end_when_they_are_told(stop, breaks):
     ) as pulled:
         state = np.zeros(1, avalanches.STATE)
         state["stiffness"] = 1.0
-        queue = avalanches.queue_of(pulled.population)
+        contacts = pulled.groups[0]
+        queue = avalanches.queue_of(contacts.population)
         way, events = avalanches.Way(0.1, 40.0, stop), np.empty(1, avalanches.EVENT)
-        avalanches.load(pulled.laws, pulled.key, 0, queue, state, way, events)
+        avalanches.load(contacts.laws, contacts.key, 0, queue, state, way, events)
     assert (state["breaks"][0] > 0) == breaks
 
 
