@@ -169,7 +169,7 @@ def trajectory(
     output = Output(points, seed, replicas)
     expected = check_run(ensemble, drive, output, max_lives)
     progress = guarded(progress, expected, max_lives)
-    if isinstance(drive, Programme) and drive.stage:
+    if isinstance(drive, Programme) and drive.pulled:
         return pulled(ensemble, drive, output, threads, progress)
     if ensemble.populations:
         return _of_kinds(ensemble, drive, output, threads, progress)

@@ -31,6 +31,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, under
 from eqsim.laws.aging import AgingLaw, Unaged
 from eqsim.laws.barrier import BARRIERS, Barrier, Mechanical
@@ -42,9 +44,12 @@ from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.laws.viscosity import Viscosity
 from eqsim.model.drive import Programme
 from eqsim.model.ensemble import Ensemble
+from eqsim.numerics.tables import Array
 
 # b below which the barrier is 0.
 _LEAST_B = 1e-100
+# Relative difference of times that are the same but for rounding.
+_SAME_TIME = 1e-12
 # b above which a pooled hazard would be made of differences between neighbouring
 # numbers.
 _LARGEST_POOLED_B = 1e15
@@ -173,7 +178,7 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
     speeds = {abs(segment.velocity) for segment in programme.segments}
     if programme.start == "stationary":
         speeds.add(programme.velocity or 0.0)
-    if ensemble.delay.velocity_exponent and (len(speeds) > 1 or programme.stage):
+    if ensemble.delay.velocity_exponent and (len(speeds) > 1 or programme.pulled):
         raise InputError(
             f"delay.velocity_exponent = {ensemble.delay.velocity_exponent:g}: must be 0 "
             "with a stage, a hold, and segments of several velocities"
@@ -242,6 +247,28 @@ class Pull(NamedTuple):
     def motor(self) -> bool:
         """True if a motor with a finite stall force drives."""
         return self.stall < math.inf
+
+    @property
+    def forced(self) -> bool:
+        """True if a force pulls the slider itself."""
+        return self.stiffness == 0.0 and not self.motor
+
+    def force_at(self, t: Array) -> Array:
+        """f at times t (any shape); at the end of a segment that of this segment."""
+        last = len(self.ends) - 1
+        i = np.minimum(np.searchsorted(self.ends, t * (1.0 - _SAME_TIME)), last)
+        since = t - np.append(0.0, self.ends)[i]
+        return np.asarray(
+            np.array(self.forces)[i] + np.array(self.force_rates)[i] * since
+        )
+
+    @property
+    def knots(self) -> tuple[Array, Array]:
+        """Times and forces at the ends of straight pieces of f(t), from 0 and 0 on."""
+        begins = np.append(0.0, self.ends[:-1])
+        t = np.stack((begins, self.ends), axis=1).ravel()
+        f = np.stack((self.forces, self.force_at(np.array(self.ends))), axis=1).ravel()
+        return np.append(0.0, t), np.append(0.0, f)
 
 
 def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
