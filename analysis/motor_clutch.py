@@ -15,6 +15,7 @@ writes motor_clutch.png and motor_clutch.parquet, with the time of both for the 
 error. `stepped` is also what tests compare eqsim with.
 """
 
+import math
 import time
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -26,7 +27,25 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.progress import track
 
+from eqsim import (
+    Delay,
+    Ensemble,
+    NoThresholds,
+    Programme,
+    Segment,
+    Stage,
+    Thermal,
+    trajectory,
+)
+from eqsim.plots import style
+
 Array = NDArray[Any]
+STIFFNESSES = [0.8, 5.0]  # of a clutch, pN/nm
+COMPARED = np.array([0.1, 1.0, 10.0, 100.0])  # substrates of the script
+CELLS = 64  # simulated by eqsim
+SCRIPT_CELLS = 8  # by the script
+STEP = 1e-3  # of the script, s; a tenth of the shortest time in which force builds up
+INSTANTS = 2000  # at which eqsim records the force of the second half
 
 
 class Clutch(NamedTuple):
@@ -94,9 +113,139 @@ def stepped(
     return means_of(sums / (steps - steps // 2) / N, begin)
 
 
+def by_events(
+    clutch: Clutch, substrate: float | None, duration: float, cells: int, seed: int
+) -> Means:
+    """The same by eqsim, event by event. Its forces are over N k, lengths."""
+    begin = time.perf_counter()
+    bonds = Ensemble(
+        NoThresholds(),
+        Thermal(
+            barrier="bell", off_rate=clutch.off_rate, force_scale=clutch.force_scale
+        ),
+        Delay(1.0 / clutch.on_rate, "exponential"),
+        count=clutch.count,
+        stiffness=clutch.stiffness,
+        stiffness_law="uniform",
+    )
+    stage = None
+    if substrate is not None:
+        stage = Stage(substrate / (clutch.count * clutch.stiffness))
+    motors = Programme(
+        [Segment(clutch.velocity, time=duration, points=2 * INSTANTS)],
+        stage=stage,
+        stall_force=clutch.stall / clutch.stiffness,
+    )
+    run = trajectory(bonds, motors, points=2, replicas=cells, seed=seed)
+    force = run.force_replicas[:, -INSTANTS:].mean(axis=1) * clutch.stiffness
+    bound = np.full(cells, run.pinned[-INSTANTS:].mean())
+    return means_of(np.array((force, bound)), begin)
+
+
 def means_of(each: Array, begin: float) -> Means:
     """Means of force and bound clutches of cells, shape (2, cells)."""
-    value = each.mean(axis=1)
-    error = each.std(axis=1, ddof=1) / np.sqrt(each.shape[1])
+    value, error = each.mean(axis=1), each.std(axis=1, ddof=1)
+    error /= math.sqrt(each.shape[1])
     seconds = time.perf_counter() - begin
-    return Means(value[0], error[0], value[1], error[1], seconds)
+    return Means(*map(float, (value[0], error[0], value[1], error[1])), seconds)
+
+
+def duration_on(clutch: Clutch, substrate: float) -> float:
+    """Seconds of a run: some ten of the longest cycles, in which motors stretch the
+    substrate until they stall."""
+    stretch = clutch.count * clutch.stall / substrate
+    return max(100.0, 12.0 * stretch / clutch.velocity)
+
+
+def table(stiffnesses: list[float], substrates: Array, compared: Array) -> pd.DataFrame:
+    """A row for each clutch stiffness, substrate and program."""
+    rows = []
+    jobs = [(k, K) for k in stiffnesses for K in substrates]
+    # kernels are compiled outside of the times
+    by_events(Clutch(), 1.0, 1.0, 2, 1)
+    for k, K in track(jobs, description="simulating"):
+        clutch = Clutch(stiffness=k)
+        T = duration_on(clutch, K)
+        runs = {"eqsim": by_events(clutch, K, T, CELLS, 1)}
+        if np.isclose(compared, K).any():
+            runs["script"] = stepped(clutch, K, T, STEP, SCRIPT_CELLS, 1)
+        for program, means in runs.items():
+            flow = clutch.velocity * (1.0 - means.force / clutch.stall)
+            flow_error = clutch.velocity * means.force_error / clutch.stall
+            rows.append(
+                {
+                    "clutch_stiffness": k,
+                    "substrate_stiffness": K,
+                    "program": program,
+                    "flow": flow,
+                    "flow_error": flow_error,
+                    "traction": clutch.count * means.force,
+                    "traction_error": clutch.count * means.force_error,
+                    "bound": means.bound,
+                    "seconds": means.seconds,
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def compared_with_script(found: pd.DataFrame) -> pd.DataFrame:
+    """Difference of both programs in standard errors, and how much longer the script
+    takes for the same error."""
+    keys = ["clutch_stiffness", "substrate_stiffness"]
+    sides = {name: part.set_index(keys) for name, part in found.groupby("program")}
+    ours, script = sides["eqsim"].loc[sides["script"].index], sides["script"]
+    error = np.hypot(ours.traction_error, script.traction_error)
+    cost = {
+        name: side.seconds * side.traction_error**2
+        for name, side in (("eqsim", ours), ("script", script))
+    }
+    columns = {
+        "z": (ours.traction - script.traction) / error,
+        "times_faster": cost["script"] / cost["eqsim"],
+        "relative_error": script.traction_error / script.traction,
+    }
+    return pd.DataFrame(columns).reset_index()
+
+
+@style.styled
+def draw(found: pd.DataFrame) -> Figure:
+    """Retrograde flow and traction against the stiffness of the substrate."""
+    figure = Figure(figsize=(10, 4.2))
+    panels = figure.subplots(1, 2)
+    marks = {"eqsim": {"fmt": "-o", "markersize": 3}, "script": {"fmt": "kx"}}
+    labels = {"flow": "retrograde flow [nm/s]", "traction": "traction [pN]"}
+    for axes, name in zip(panels, labels, strict=True):
+        for (k, program), part in found.groupby(["clutch_stiffness", "program"]):
+            label = f"{k:g} pN/nm, eqsim" if program == "eqsim" else None
+            if program == "script" and k == found.clutch_stiffness.max():
+                label = "time-stepped script"
+            axes.errorbar(
+                part.substrate_stiffness,
+                part[name],
+                2 * part[f"{name}_error"],
+                label=label,
+                **marks[program],
+            )
+        axes.set(xscale="log", xlabel="substrate [pN/nm]", ylabel=labels[name])
+        axes.set_ylim(bottom=0)
+    panels[0].legend(title="clutches")
+    return figure
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="folder of the results")] = Path(),
+    points: Annotated[int, typer.Option(help="substrates in four decades")] = 17,
+    script: Annotated[bool, typer.Option(help="run the script, too")] = True,
+) -> None:
+    """Simulate, compare and draw."""
+    substrates = np.geomspace(1e-2, 1e2, points)
+    compared = COMPARED if script else np.empty(0)
+    found = table(STIFFNESSES, np.union1d(substrates, compared), compared)
+    found.to_parquet(out / "motor_clutch.parquet")
+    draw(found).savefig(out / "motor_clutch.png", dpi=150)
+    if script:
+        print(compared_with_script(found).to_string(index=False))
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -131,7 +131,8 @@ def chain_of(ensemble: Ensemble, drive: Programme) -> Chain:
         if wrong:
             raise InputError(said)
     contacts = reduced(ensemble, law.scale)  # whose time is the user's
-    barrier, n, xi = contacts.barrier, np.arange(1.0, N + 1.0), np.ones(N)
+    barrier, n = contacts.barrier, np.arange(1.0, N + 1.0)
+    xi = np.full(N, law.steps[0] / law.scale)
     stretch = (force or 0.0) / law.scale * (N / n)
     log_rate: Array = np.full(N, -math.inf)
     if barrier.thermal:
