@@ -6,8 +6,9 @@ N = 75 myosin motors (stall force 2 pN each, 120 nm/s without a load) pull actin
 clutches of stiffness k_c bind to a substrate of stiffness K. Clutches bind at 0.3/s and
 let go at 0.1/s e^(f/2 pN). On a soft substrate force builds up slowly, until clutches
 fail together; on a stiff one each fails before others bind (`frictional slippage`); in
-between is an optimum. Both programs find means over the second half of 200 s that begin
-with unbound clutches relaxing from all bound ones, of independent cells.
+between is an optimum. Both programs find
+means over the second half of a run that begins with all clutches bound, of several
+independent cells.
 
     python -m analysis.motor_clutch
 
@@ -27,10 +28,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.progress import track
 
+import eqsim
 from eqsim import (
     Delay,
     Ensemble,
-    NoThresholds,
     Programme,
     Segment,
     Stage,
@@ -44,7 +45,7 @@ STIFFNESSES = [0.8, 5.0]  # of a clutch, pN/nm
 COMPARED = np.array([0.1, 1.0, 10.0, 100.0])  # substrates of the script
 CELLS = 64  # simulated by eqsim
 SCRIPT_CELLS = 8  # by the script
-STEP = 1e-3  # of the script, s; a tenth of the shortest time in which force builds up
+STEP = 0.05  # of the script, over the time in which force builds up by F_b
 INSTANTS = 2000  # at which eqsim records the force of the second half
 
 
@@ -119,7 +120,7 @@ def by_events(
     """The same by eqsim, event by event. Its forces are over N k, lengths."""
     begin = time.perf_counter()
     bonds = Ensemble(
-        NoThresholds(),
+        eqsim.NoThresholds(),
         Thermal(
             barrier="bell", off_rate=clutch.off_rate, force_scale=clutch.force_scale
         ),
@@ -168,7 +169,8 @@ def table(stiffnesses: list[float], substrates: Array, compared: Array) -> pd.Da
         T = duration_on(clutch, K)
         runs = {"eqsim": by_events(clutch, K, T, CELLS, 1)}
         if np.isclose(compared, K).any():
-            runs["script"] = stepped(clutch, K, T, STEP, SCRIPT_CELLS, 1)
+            step = STEP * clutch.force_scale / (k * clutch.velocity)
+            runs["script"] = stepped(clutch, K, T, step, SCRIPT_CELLS, 1)
         for program, means in runs.items():
             flow = clutch.velocity * (1.0 - means.force / clutch.stall)
             flow_error = clutch.velocity * means.force_error / clutch.stall
