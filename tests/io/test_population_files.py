@@ -25,6 +25,7 @@ from eqsim.io.runfile import check, keys, stored
 from eqsim.io.units import Units
 from eqsim.sweeps.plan import Plan
 
+RUNS = Path(__file__).parents[2] / "runs"
 TEXT = """
 [contacts]
 count = 10
@@ -144,18 +145,20 @@ def test_messages_name_the_population(old, new, said):
 
 
 def test_a_fit_is_refused(tmp_path):
-    (tmp_path / "data.csv").write_text(
-        "velocity,friction,error\n0.1,0.5,0.01\n1,1,0.1\n"
-    )
-    text = TEXT + '[fit]\ndata = "data.csv"\n[fit.free]\n"thermal.kT" = {}\n'
+    text = (RUNS / "fit-synthetic.toml").read_text() + "[[population]]\nshare = 1.0\n"
     (tmp_path / "fit.toml").write_text(text)
+    (tmp_path / "fit-synthetic.csv").write_bytes(
+        (RUNS / "fit-synthetic.csv").read_bytes()
+    )
     done = call("fit", tmp_path / "fit.toml", "--out", tmp_path / "fitted")
     assert done.exit_code == 2
-    assert "population: a fit needs contacts of one kind" in done.output
+    assert done.output == "eqsim: population: not allowed with [fit]\n"
 
 
 def test_labels():
-    assert axis("population.1.thermal.kT", Units()).startswith("temperature of popu")
+    assert axis("population.1.thermal.kT", Units()).startswith(
+        "thermal energy of population 1"
+    )
     assert (
         catalogue.entry("population.0.share").words
         == "share of contacts of population 0"
@@ -235,5 +238,5 @@ def test_tables_of_thresholds(tmp_path):
 
 
 def test_the_run_file_of_the_documentation():
-    file = load(Path(__file__).parents[2] / "runs" / "populations.toml")
+    file = load(RUNS / "populations.toml")
     assert len(file.ensemble.kinds) == 2
