@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 from eqsim.errors import (
@@ -170,7 +169,7 @@ class Ensemble:
         object.__setattr__(self, "populations", tuple(self.populations))  # for its hash
         _ = self.kinds
 
-    @cached_property
+    @property
     def kinds(self) -> tuple[Kind, ...]:
         """The kinds of contacts, but for populations that none of the N belongs to.
         Raises InputError for laws that do not go together."""

@@ -165,6 +165,10 @@ def _of_blocks(contacts: int, elastic: Elastic) -> Rows:
 def doubts(ensemble: Ensemble, drive: Drive | Programme | None) -> Iterator[str]:
     """Warn about dimensionless groups so extreme that units were probably mixed, a line
     for each. Without a drive the distance does not count."""
+    if ensemble.populations:
+        for kind in ensemble.kinds:
+            yield from doubts(kind.contacts, drive)
+        return
     b, unit = ensemble.b, ensemble.thresholds.scale
     are = f"are all numbers in the same units? Thresholds are about {unit:.3g}"
     if ensemble.thresholds.steps.size:
