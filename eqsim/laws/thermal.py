@@ -20,7 +20,8 @@ class Thermal:
         omega (1/time).
     barrier : str
         Barrier that heat has to overcome, one of `eqsim.laws.barrier.BARRIERS`: "soft"
-        or "stiff", those behind eqs. (18) and (19) of Braun and Peyrard (2011).
+        or "stiff", those behind eqs. (18) and (19) of Braun and Peyrard (2011), or
+        "cusp". Stiff and cusp are nu = 2/3 and 1/2 of Dudko, Hummer and Szabo (2006).
 
     Examples
     --------

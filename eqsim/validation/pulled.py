@@ -113,11 +113,13 @@ def rates(ensemble: Ensemble, xi: Array, stretch: Array) -> Array:
 
 
 def _success(ensemble: Ensemble, xi: Array, stretch: Array) -> Array:
-    """Probability that an attempt breaks a contact (temper11, temper12)."""
+    """Probability that an attempt breaks a contact (temper11, temper12, and eq. (3) of
+    Dudko et al., 2006)."""
     gap = np.clip(1.0 - stretch / xi, 0.0, 1.0)
     height = 0.5 * (_stiffness(ensemble, xi) / ensemble.thermal.kT) * xi**2
-    if ensemble.thermal.barrier == "stiff":
-        return np.asarray(np.sqrt(gap) * np.exp(-height * gap**1.5))
+    if ensemble.thermal.barrier != "soft":
+        power = {"stiff": 1.5, "cusp": 2.0}[ensemble.thermal.barrier]
+        return np.asarray(gap ** (power - 1.0) * np.exp(-height * gap**power))
     return np.where(gap > 0.0, np.exp(-height * gap * (2.0 - gap)), 0.0)
 
 
