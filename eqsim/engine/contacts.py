@@ -35,7 +35,7 @@ def contacts(
     s = reduced(ensemble, velocity, mean_stretch)
     barrier: Any = s.barrier
     if s.annealed:
-        pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b)  # type: ignore[arg-type]
+        pool = pooled_hazard_of(s.law, s.stiffness, s.barrier.kind, s.barrier.b)
         barrier = Pooled(s.barrier.log_w, pool.x, pool.G, pool.slopes)
     born: Unstressed | Stretched = Unstressed()
     if s.newborn.active:

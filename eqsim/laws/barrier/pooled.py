@@ -39,6 +39,10 @@ from eqsim.numerics.quadrature import Rule, gauss_legendre, normal_exponent
 from eqsim.numerics.tables import Array
 
 
+# What a barrier says without b and log_w, `Barrier.kind`.
+Kind = type[Barrier] | Barrier
+
+
 class PooledHazard(NamedTuple):
     """The pooled integrated hazard G(x) = int_0^x h dy and its inverse: nodes, shape
     (nodes,), and the slope d ln x/d ln G at the left and right end of each cell between
@@ -91,7 +95,7 @@ _UNSEEN_ATTEMPTS = -45.0
 def pooled_rate(
     law: ThresholdLaw,
     stiffness: StiffnessLaw,
-    barrier: type[Barrier],
+    barrier: Kind,
     b: float,
     y: Array,
     log_w: float = math.inf,
@@ -119,7 +123,7 @@ def pooled_rate(
         weak = np.exp(-_WEAK[log_w > _WEAK + _UNSEEN_ATTEMPTS])
         ends = _ends_of_panels(law, weak)
         found = [
-            _by_panels(law, stiffness, barrier(b, log_w), part, ends, rule)  # type: ignore[call-arg]
+            _by_panels(law, stiffness, barrier, b, part, ends, rule, log_w)
             for part in parts
         ]
     return np.concatenate(found)
@@ -128,7 +132,7 @@ def pooled_rate(
 def _trapezoid(
     law: Gamma,
     stiffness: StiffnessLaw,
-    barrier: type[Barrier],
+    barrier: Kind,
     b: float,
     y: Array,
     step: float,
@@ -140,7 +144,9 @@ def _trapezoid(
     far = math.cbrt(rms / b) if stiffness == "sqrt" else 1.0 / math.sqrt(b)
     origin = np.maximum(y, 1e-3 * min(far, 1.0))
     a = np.maximum(b * relative_stiffness(stiffness, origin, rms), 1e-300)
-    gap = np.minimum(barrier.width(1.0, origin, a), far)
+    gap = barrier.width(1.0, origin, a)
+    if not barrier.by_force:
+        gap = np.minimum(gap, far)
     gap = (1.0 / (1.0 / gap + 2.0 * y + 1.0))[:, None]
     u = np.arange(_LEFT_END, math.log(50.0 + 6.0 * n), step / math.sqrt(1.0 + 0.25 * n))
     beyond, y = gap * np.exp(u - np.exp(-u)), y[:, None]
@@ -165,14 +171,16 @@ def _ends_of_panels(law: ThresholdLaw, weak: Array) -> Array:
 def _by_panels(
     law: ThresholdLaw,
     stiffness: StiffnessLaw,
-    barrier: Barrier,
+    barrier: Kind,
+    b: float,
     y: Array,
     ends: Array,
     rule: Rule,
+    log_w: float,
 ) -> Array:
     """h(y) by Gauss-Legendre panels in sqrt(xi' - y), so that the rate of stiff
     contacts is smooth at their thresholds; panels end at exponents of the barrier."""
-    b, rms, y = barrier.b, law.rms / law.scale, y[:, None]
+    rms, y = law.rms / law.scale, y[:, None]
 
     def contact(x: Array, root: Array) -> tuple[Array, Array, Array, Array]:
         """Arguments of the barrier at stretch x and threshold x + root^2."""
@@ -190,7 +198,7 @@ def _by_panels(
     edges = np.sqrt(np.maximum(panels_above(law, y[:, 0], layer) - y, 0.0))
     with np.errstate(invalid="ignore"):  # at y = 0 the first edge is xi = 0
         unseen = (
-            barrier.log_w - barrier.exponent(*contact(y, edges[:, :-1]))
+            log_w - barrier.exponent(*contact(y, edges[:, :-1]))
             <= _UNSEEN_ATTEMPTS
         )
     row, column = np.nonzero((np.diff(edges, axis=1) > 0) & ~unseen)
@@ -214,7 +222,7 @@ def _steep(law: ThresholdLaw) -> Array:
 
 
 def pooled_hazard(
-    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Kind, b: float
 ) -> PooledHazard:
     """G and its inverse for the annealed ensemble, lengths in units of `law.scale`;
     Delta U = (omega/v) G (nt09).
@@ -281,7 +289,7 @@ def _pooled_cells(log_y: Array, rate: Callable[[Array], Array]) -> PooledHazard:
 
 
 def _pooled_steps(
-    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Kind, b: float
 ) -> PooledHazard:
     """G of equally likely thresholds: a mean of closed forms, at nodes that crowd
     towards each threshold from below, where the rate of attempts on it rises to 1, and
@@ -319,7 +327,7 @@ def _pooled_steps(
 
 
 def mean_hazard(
-    barrier: type[Barrier], y: Array, xi: Array, share: Array, a: Array
+    barrier: Kind, y: Array, xi: Array, share: Array, a: Array
 ) -> Array:
     """G at ascending stretches y of a discrete law, a mean of closed forms: thresholds
     xi with their shares and a, lengths in units of the law's scale."""
@@ -348,7 +356,7 @@ def _monotone(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
 # are some 3 MB.
 @functools.lru_cache(maxsize=32)
 def pooled_hazard_of(
-    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Kind, b: float
 ) -> PooledHazard:
     """Cached `pooled_hazard`, which does not depend on velocity."""
     return pooled_hazard(law, stiffness, barrier, b)
