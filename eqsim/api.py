@@ -27,7 +27,8 @@ from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.named import Exponential, Lognormal, Normal, Pareto, Uniform, Weibull
 from eqsim.laws.newborn import Newborn
-from eqsim.laws.thermal import Thermal
+from eqsim.laws.no_thresholds import NoThresholds
+from eqsim.laws.thermal import Pathway, Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
 from eqsim.master import closure as _closure
 from eqsim.master import stability as _stability
@@ -69,8 +70,10 @@ __all__ = [
     "Interface",
     "Lognormal",
     "Newborn",
+    "NoThresholds",
     "Normal",
     "Pareto",
+    "Pathway",
     "Posterior",
     "Programme",
     "ProgrammeTrajectory",

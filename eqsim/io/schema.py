@@ -43,6 +43,8 @@ _DATACLASSES: dict[str, Any] = {
     "units": Units,
     "interface": Interface,
 }
+# Sections that are there or not.
+OPTIONAL = ("elastic", "drive.stage", "thermal.catch", "thermal.slip")
 _DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
 
 
@@ -64,6 +66,7 @@ def _whole(value: Any) -> Any:
 
 _WHOLE = Annotated[int, BeforeValidator(_whole)]
 _NUMBER = Key(float, float | None, None)
+_REQUIRED = Key(float, float, ...)
 _TEXT = Key(str, str | None, None)
 _TABLE = Key(dict, dict[str, Any], {})  # read by `sweeps.plan` and `fitting.section`
 _OTHERS = {
@@ -76,6 +79,10 @@ _OTHERS = {
     "thresholds.column": _TEXT,
     "thresholds.quantity": Key(str, Literal["stretch", "force"] | None, None),
     "thermal.temperature": _NUMBER,  # kelvin, instead of kT
+    "thermal.catch.rate": _REQUIRED,
+    "thermal.catch.force": _REQUIRED,
+    "thermal.slip.rate": _REQUIRED,
+    "thermal.slip.force": _REQUIRED,
     "drive.velocity": _NUMBER,
     "drive.file": _TEXT,
     "drive.programme.velocity": _NUMBER,
@@ -111,8 +118,8 @@ def keys_of(section: str) -> dict[str, Key]:
 
 
 def _schema(section: str) -> Any:
-    """A pydantic model that checks names and types of the keys of a section. [elastic]
-    and a stage are there or not, and a programme is a list."""
+    """A pydantic model that checks names and types of the keys of a section. [elastic],
+    a stage and pathways are there or not, and a programme is a list."""
     keys: dict[str, Any] = {
         name: (key.annotation, key.default) for name, key in keys_of(section).items()
     }
@@ -122,7 +129,7 @@ def _schema(section: str) -> Any:
             below = _schema(name)
             if last == "programme":
                 keys[last] = list[below] | None, None  # type: ignore[valid-type]
-            elif last in ("stage", "elastic"):
+            elif name in OPTIONAL:
                 keys[last] = below | None, None
             else:
                 keys[last] = below, below()
@@ -192,6 +199,6 @@ def _nearest(location: list[str]) -> str:
         if name.rpartition(".")[2].lower() == last.lower()
         and name.partition(".")[0] not in (section, "elastic")
     ]
-    if section in ("elastic", "drive.stage", "drive.programme"):
+    if section in (*OPTIONAL, "drive.programme"):
         same = []
     return meant(last, same) or meant(last, here) or "known here: " + ", ".join(here)

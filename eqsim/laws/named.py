@@ -408,7 +408,9 @@ def threshold_parameters(name: str) -> dict[str, float | None]:
     """The parameters of a law and their defaults, None of those that are required;
     empty for a law that has none."""
     known = fields(THRESHOLDS[name]) if name in THRESHOLDS else ()
-    return {f.name: None if f.default is MISSING else f.default for f in known if f.init}
+    return {
+        f.name: None if f.default is MISSING else f.default for f in known if f.init
+    }
 
 
 def law_of(name: str, given: dict[str, float | None]) -> ThresholdLaw:

@@ -7,14 +7,12 @@ from typing import Any
 import numpy as np
 
 from eqsim.errors import POSITIVE, InputError, require_number
-from eqsim.laws.threshold import NO_STEPS, Discrete
+from eqsim.laws.threshold import NO_STEPS, Discrete, ThresholdLaw
 from eqsim.numerics.tables import Array
 
 # Threshold that stands for none, in typical stretches: bonds are stretched by less than
 # some 500 force scales, as their rates rise by e with each.
 BEYOND = 1000.0
-# Hazard that no contact outlives.
-SPENT = 100.0
 
 
 @dataclass(frozen=True)
@@ -25,8 +23,8 @@ class NoThresholds(Discrete):
     ----------
     x_star : float, optional
         Typical stretch at breaking, the unit of length of tables and grids, on which no
-        result depends. By default the force scale of the bond over its stiffness. Raises
-        InputError unless > 0.
+        result depends; by default a force that changes the rate of the bond by e, over
+        its stiffness. Raises InputError unless > 0.
 
     Examples
     --------
@@ -35,22 +33,24 @@ class NoThresholds(Discrete):
     """
 
     x_star: float | None = None
-    of_bond: float = field(default=1.0, init=False, repr=False)
+    scale: float = field(default=1.0, init=False, repr=False)
+    kinks = breakpoints = NO_STEPS
 
     def __post_init__(self) -> None:
         if self.x_star is not None:
             require_number("x_star", self.x_star, **POSITIVE)
+            object.__setattr__(self, "scale", self.x_star)
 
-    def of(self, length: float) -> "NoThresholds":
-        """The law of bonds with this force scale over stiffness. Raises InputError if it
-        is infinite, and x_star is not given."""
-        if self.x_star is None and length == math.inf:
-            said = 'is required with law = "none" if no force changes the rate'
-            raise InputError(f"x_star: {said}; give about velocity/rate")
-        if self.x_star is None:
-            require_number("force / stiffness", length, **POSITIVE)
+    def of_bond(self, length: float) -> "NoThresholds":
+        """The law of bonds with a force over stiffness. Raises InputError if that is
+        infinite, and x_star is not given."""
         law = replace(self)
-        object.__setattr__(law, "of_bond", length if self.x_star is None else 1.0)
+        if self.x_star is None:
+            if length == math.inf:
+                said = "is required where no force opens the bond; about velocity/rate"
+                raise InputError(f"x_star: {said}")
+            require_number("force / stiffness", length, **POSITIVE)
+            object.__setattr__(law, "scale", length)
         return law
 
     @property
@@ -58,12 +58,8 @@ class NoThresholds(Discrete):
         return self.scale, "none"
 
     @property
-    def scale(self) -> float:
-        return self.of_bond if self.x_star is None else self.x_star
-
-    @property
     def mean(self) -> float:
-        """A typical stretch at breaking, in the place of a mean threshold."""
+        """A typical stretch at breaking."""
         return self.scale
 
     @property
@@ -75,10 +71,7 @@ class NoThresholds(Discrete):
     def steps(self) -> Array:  # type: ignore[override]
         return np.array([BEYOND * self.scale])
 
-    @property
-    def breakpoints(self) -> Array:
-        return NO_STEPS
 
-    @property
-    def kinks(self) -> Array:
-        return NO_STEPS
+def has_jumps(law: ThresholdLaw) -> bool:
+    """True if equal thresholds break contacts at one instant."""
+    return law.steps.size > 0 and not isinstance(law, NoThresholds)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, fields
+from typing import NamedTuple
 
 from eqsim.errors import (
     NOT_NEGATIVE,
@@ -15,46 +16,20 @@ from eqsim.errors import (
 from eqsim.laws.barrier import BARRIERS
 
 
-def _require_force(name: str, value: float) -> None:
-    """Raise InputError unless a scale of force is > 0; infinite, nothing depends on
-    it."""
-    if value != math.inf:
-        require_number(name, value, **POSITIVE)
-
-
-@dataclass(frozen=True)
-class Pathway:
-    """One of the two ways in which a catch-slip bond opens.
-
-    Raises InputError for values out of range.
-
-    Parameters
-    ----------
-    rate : float
-        Off-rate at zero force (1/time).
-    force : float
-        Force that changes it by a factor of e, > 0; infinite if none does.
-
-    Examples
-    --------
-    >>> Pathway(rate=10.0, force=1.0)
-    Pathway(rate=10.0, force=1.0)
-    """
+class Pathway(NamedTuple):
+    """Way in which a catch-slip bond opens: its rate at zero force (1/time) and the
+    force that changes this by e, infinite if none does."""
 
     rate: float
     force: float
-
-    def __post_init__(self) -> None:
-        require_number("rate", self.rate, **NOT_NEGATIVE)
-        _require_force("force", self.force)
 
 
 @dataclass(frozen=True)
 class Thermal:
     """Thermally activated breaking.
 
-    Raises InputError for values out of range, an unknown barrier, and what it does not
-    take or lacks.
+    Raises InputError for values out of range, an unknown barrier, and what the barrier
+    does not take or lacks.
 
     Parameters
     ----------
@@ -66,19 +41,18 @@ class Thermal:
         Barrier that heat has to overcome, one of `eqsim.laws.barrier.BARRIERS`: "soft"
         or "stiff", those behind eqs. (18) and (19) of Braun and Peyrard (2011), or
         "cusp". Stiff and cusp are nu = 2/3 and 1/2 of Dudko, Hummer and Szabo (2006).
-        Or a bond whose rate depends on its force f alone: "bell", off_rate
-        exp(f/force_scale), or "catch-slip", catch.rate exp(-f/catch.force) + slip.rate
-        exp(f/slip.force). These take neither kT nor attempt_frequency.
-    off_rate : float, optional
-        Of "bell": rate at zero force (1/time).
-    force_scale : float, optional
-        Of "bell": force that raises it by a factor of e; infinite for a constant rate.
+        Or a bond whose rate depends on its force f alone, and takes neither kT nor
+        attempt_frequency: "bell", off_rate exp(f/force_scale), or "catch-slip",
+        catch.rate exp(-f/catch.force) + slip.rate exp(f/slip.force).
+    off_rate, force_scale : float, optional
+        Of "bell" (1/time, force); an infinite scale makes the rate constant.
     catch, slip : Pathway, optional
         Of "catch-slip".
 
     Examples
     --------
-    >>> heat = Thermal(kT=0.1, attempt_frequency=10.0)
+    >>> Thermal(kT=0.1, attempt_frequency=10.0)
+    Thermal(kT=0.1, attempt_frequency=10.0, barrier='soft')
     >>> bond = Thermal(barrier="bell", off_rate=0.1, force_scale=2.0)
     """
 
@@ -94,27 +68,32 @@ class Thermal:
         require_number("kT", self.kT, **NOT_NEGATIVE)
         require_number("attempt_frequency", self.attempt_frequency, **NOT_NEGATIVE)
         require_choice("barrier", self.barrier, tuple(BARRIERS))
-        taken = BARRIERS[self.barrier].keys
-        for one in fields(self):
-            value, wrong = getattr(self, one.name), f'with barrier = "{self.barrier}"'
-            if one.name in taken:
-                if value is None:
-                    raise InputError(f"{one.name}: is required {wrong}")
-            elif one.name != "barrier" and value != one.default:
-                raise InputError(f"{one.name} = {shown(value)}: not allowed {wrong}")
+        taken = (*BARRIERS[self.barrier].keys, "barrier")
+        for key in fields(self):
+            value, said = getattr(self, key.name), f'with barrier = "{self.barrier}"'
+            if key.name in taken and value is None:
+                raise InputError(f"{key.name}: is required {said}")
+            if key.name not in taken and value != key.default:
+                raise InputError(f"{key.name} = {shown(value)}: not allowed {said}")
         for name in ("catch", "slip"):
-            value = getattr(self, name)
-            if isinstance(value, dict):
+            path = getattr(self, name)
+            if path is not None:
+                if not isinstance(path, Pathway):
+                    raise InputError(f"{name} = {shown(path)}: must be Pathway(...)")
                 with under(name):
-                    object.__setattr__(self, name, Pathway(**value))
-            elif not isinstance(value, Pathway | None):
-                raise InputError(f"{name} = {shown(value)}: must be Pathway(...)")
+                    _check_bond("rate", path.rate, "force", path.force)
         if self.off_rate is not None and self.force_scale is not None:
-            require_number("off_rate", self.off_rate, **NOT_NEGATIVE)
-            _require_force("force_scale", self.force_scale)
+            _check_bond("off_rate", self.off_rate, "force_scale", self.force_scale)
 
     @property
     def active(self) -> bool:
         """True if heat breaks contacts."""
-        _, rate, *_ = BARRIERS[self.barrier].numbers(self, 1.0, 1.0)
-        return rate > 0.0 and (self.kT > 0.0 or BARRIERS[self.barrier].by_force)
+        law = BARRIERS[self.barrier]
+        return law.numbers(self, 1.0, 1.0)[1] > 0.0 and (self.kT > 0.0 or law.by_force)
+
+
+def _check_bond(name: str, rate: float, of: str, force: float) -> None:
+    """Raise InputError unless a rate and a scale of force are in range."""
+    require_number(name, rate, **NOT_NEGATIVE)
+    if force != math.inf:
+        require_number(of, force, **POSITIVE)

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError
+from eqsim.laws.no_thresholds import has_jumps
 from eqsim.master.cohorts import (
     NO_CHOICES,
     Choices,
@@ -349,7 +350,7 @@ def solutions_of(
     coarse = best
     off = np.zeros_like(best)
     off[:, kept] = np.abs(np.array(best)[:, kept] - fewer)
-    discrete = ensemble.thresholds.steps.size > 0
+    discrete = has_jumps(ensemble.thresholds)
     if steps <= (_STEPS_OF_DISCRETE if discrete else _STEPS_OF_FEW_SLIPS):
         best, _ = solved(task._replace(halved=True), 4)
         off = np.abs(np.array(best) - coarse) + 0.5 * off
@@ -424,7 +425,7 @@ def task_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> PulledTask:
         stretch=(stage.preload or 0.0) / unit,
         velocity=course.before,
         heat=contacts.barrier.thermal,
-        discrete=contacts.law.steps.size > 0,
+        discrete=has_jumps(contacts.law),
     )
     path = float(np.ptp(course.at(np.append(0.0, course.ends))))
     reach = 2.0 * (path + abs(spring.stretch))  # a mass may overshoot

@@ -104,17 +104,19 @@ class Ensemble:
     def _make_unlimited(self, law: NoThresholds) -> None:
         """Adapt contacts without thresholds, whose typical stretch follows from the
         bond. Raises InputError for what needs thresholds."""
-        none = 'not allowed with thresholds.law = "none"'
-        if not BARRIERS[self.thermal.barrier].by_force:
-            only = 'take "bell" or "catch-slip"'
-            raise InputError(f'barrier = "{self.thermal.barrier}": {none}; {only}')
-        if self.aging.rule != "none":
-            raise InputError(f'aging.rule = "{self.aging.rule}": {none}')
-        if self.newborn.active and self.newborn.of == "threshold":
-            raise InputError(f'newborn.of = "threshold": {none}')
-        barrier: Any = BARRIERS[self.thermal.barrier]
+        heat, aging, newborn = self.thermal, self.aging, self.newborn
+        force = heat.slip.force if heat.slip else heat.force_scale
+        of_threshold = newborn.active and newborn.of == "threshold"
+        for key, value, wrong in (
+            ("thermal.barrier", heat.barrier, force is None),
+            ("aging.rule", aging.rule, aging.rule != "none"),
+            ("newborn.of", newborn.of, of_threshold),
+        ):
+            if wrong:
+                said = 'not allowed with thresholds.law = "none"'
+                raise InputError(f'{key} = "{value}": {said}')
         with under("thresholds"):
-            law = law.of(barrier.length(self.thermal, self.stiffness))
+            law = law.of_bond((force or math.inf) / self.stiffness)
         object.__setattr__(self, "thresholds", law)
         object.__setattr__(self, "stiffness_law", "uniform")
         object.__setattr__(self, "disorder", "quenched")
@@ -199,8 +201,8 @@ class Ensemble:
         if isinstance(self.thresholds, NoThresholds):
             return math.inf
         law: Any = BARRIERS[self.thermal.barrier]
-        kind = law(b, 0.0, *others).kind
-        pool = pooled_hazard_of(self.thresholds, self.stiffness_law, kind, b)
+        barrier = law(b, 0.0, *others)
+        pool = pooled_hazard_of(self.thresholds, self.stiffness_law, barrier, b)
         # no attempt succeeds at very low temperature
         total = pool.G[-1] if pool.G.size else 0.0
         return float(rate * self.thresholds.scale * total)

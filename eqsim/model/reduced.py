@@ -39,14 +39,18 @@ from eqsim.laws.barrier import BARRIERS, Barrier, Mechanical
 from eqsim.laws.barrier.base import require_whole
 from eqsim.laws.delay import Delay, Exponential, Fixed
 from eqsim.laws.newborn import Newborn
-from eqsim.laws.no_thresholds import BEYOND, SPENT, NoThresholds
+from eqsim.laws.no_thresholds import BEYOND, NoThresholds
 from eqsim.laws.stiffness import Springs, StiffnessLaw
 from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.model.drive import Programme
 from eqsim.model.ensemble import Ensemble
 
+# Hazard that no contact outlives.
+_SPENT = 100.0
 # b below which the barrier is 0.
 _LEAST_B = 1e-100
+# b up to which rates that rise to exp(`laws.barrier.bell.MOST`) break all bonds.
+_MOST_OVER_FORCE = 1e80
 # b above which a pooled hazard would be made of differences between neighbouring
 # numbers.
 _LARGEST_POOLED_B = 1e15
@@ -258,11 +262,11 @@ def drag_of(ensemble: Ensemble, velocity: float) -> float:
 def _check_unlimited(law: NoThresholds, barrier: Barrier) -> None:
     """Raise InputError unless contacts without thresholds break within what stands for
     an infinite one."""
-    end, stiffness = np.array([BEYOND]), np.ones(1)
     if not barrier.thermal:
-        said = "nothing breaks contacts; give a rate > 0"
-        raise InputError(f'thresholds.law = "none": {said}')
-    if barrier.whole_hazard(end, stiffness)[0] < SPENT:
+        raise InputError(
+            'thresholds.law = "none": needs a rate > 0 that breaks contacts'
+        )
+    if barrier.whole_hazard(np.array([BEYOND]), np.ones(1))[0] < _SPENT:
         said = f"contacts outlive {BEYOND:g} of it; give about velocity/rate"
         raise InputError(f"thresholds.x_star = {law.scale:g}: {said}")
 
@@ -276,8 +280,8 @@ def _barrier(ensemble: Ensemble, velocity: float, unit: float) -> Barrier:
     b, rate, *others = law.numbers(thermal, ensemble.stiffness, unit)
     if rate == 0 or math.isinf(b):
         return Mechanical()
-    if b > law.largest:
-        require_number(law.b_words, b, least=0.0, most=law.largest)
+    if law.by_force:
+        require_number(law.b_words, b, least=0.0, most=_MOST_OVER_FORCE)
     if ensemble.disorder == "quenched":
         if b >= law.flat_out:
             return Mechanical()
@@ -288,7 +292,7 @@ def _barrier(ensemble: Ensemble, velocity: float, unit: float) -> Barrier:
         said = f"must be <= {_LARGEST_POOLED_B:g} for annealed contacts"
         raise InputError(f"{law.b_words} = {b:.3g}: {said}")
     log_w = math.log(rate) + math.log(unit) - math.log(velocity)
-    name = f"ln({law.rate_words} * threshold / velocity)"
+    name = f"ln({law.keys[1]} * threshold / velocity)"
     require_number(name, log_w, least=-230, most=230)
     # every law is a NamedTuple that begins with these two
     barrier: Barrier = law(max(b, _LEAST_B), log_w, *others)

@@ -13,6 +13,7 @@ from pyarrow import parquet as pq
 
 from eqsim.errors import InputError, require_integer, require_number, shown, under
 from eqsim.io.runfile import RunFile, at, keys, parameters, path_of
+from eqsim.io.schema import OPTIONAL
 from eqsim.laws.threshold import Table
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
@@ -139,7 +140,7 @@ def entries(
     which TOML reads as tables; a table is a value if it has one of the `leaves`."""
     above = {"fit", *(key.split(".")[0] for key in keys() if "." in key)}
     for key, value in table.items():
-        nested = key in above or key.startswith(("drive.programme", "drive.stage"))
+        nested = key in above or key.startswith(("drive.programme", *OPTIONAL))
         if nested and isinstance(value, dict) and not set(leaves) & value.keys():
             named = {f"{key}.{name}": part for name, part in value.items()}
             yield from entries(named, leaves)

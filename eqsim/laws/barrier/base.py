@@ -64,12 +64,9 @@ class Barrier(Law):
     flat_out: ClassVar[float] = 1e16
     # the rate depends on the force alone, not on the threshold (`bell.ByForce`)
     by_force: ClassVar[bool] = False
-    # fields of `eqsim.Thermal` that the numbers are made of
+    # fields of `eqsim.Thermal` that b and omega are made of
     keys: ClassVar[tuple[str, ...]] = ("kT", "attempt_frequency")
-    # b and omega in words, and the largest b
     b_words: ClassVar[str] = "k x_*^2/(2 kT)"
-    rate_words: ClassVar[str] = "attempt_frequency"
-    largest: ClassVar[float] = math.inf
     b: float
     log_w: float
 
@@ -107,13 +104,7 @@ class Barrier(Law):
 
     def in_unit(self, unit: float) -> float:
         """b with lengths in units of `unit`."""
-        return self.b * unit**2
-
-    @property
-    def kind(self) -> Any:
-        """The law without b and log_w, as `laws.barrier.pooled` takes it: the type, or
-        one with the other numbers it has."""
-        return type(self)
+        return self.b * (unit if self.by_force else unit**2)
 
     @staticmethod
     def exponent(gap: Any, total: Any, xi: Any, a: Any) -> Any:

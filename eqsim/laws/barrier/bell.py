@@ -1,5 +1,5 @@
-"""Bell's bond, whose off-rate rises with its force f = k_i x, and grows by e in each
-f_b (Bell, Science 200, 618, 1978):
+"""Bell's bond, whose off-rate grows by e in each f_b of its force f = k_i x (Bell,
+Science 200, 618, 1978):
 
     k(f) = k_0 exp(f/f_b),    H = (exp(a x) - 1)/a,    a = k_i/f_b
 
@@ -23,19 +23,11 @@ MOST = 460.0
 
 
 class ByForce(Barrier):
-    """Base of bonds whose rate depends on their force alone; b = k x_*/f."""
+    """Base of bonds whose rate depends on their force alone; b = k x_* over a force."""
 
     __slots__ = ()
     flat_out: ClassVar[float] = math.inf
     by_force: ClassVar[bool] = True
-    largest: ClassVar[float] = 1e80
-
-    def in_unit(self, unit: float) -> float:
-        return self.b * unit
-
-    @classmethod
-    def width(cls, exponent: Any, y: Any, a: Any) -> Array:
-        return np.full(np.broadcast(exponent, y, a).shape, math.inf)
 
     @classmethod
     def declared(
@@ -46,7 +38,7 @@ class ByForce(Barrier):
 
 
 def log_mean(z: Any) -> Array:
-    """ln((exp(z) - 1)/z) of z of any sign and size: the mean of exp over 0 to z."""
+    """ln((exp(z) - 1)/z) of z of any sign: the mean of exp over 0 to z."""
     size = np.maximum(np.abs(z), 1e-300)
     return np.asarray(np.log(-np.expm1(-size) / size) + np.maximum(z, 0.0))
 
@@ -58,42 +50,24 @@ def fallen(z: float) -> float:
 
 
 class Bell(Numbers, ByForce):
-    """ln r = a x, p = 1."""
+    """E = -a x, p = 1."""
 
     __slots__ = ()
-    keys: ClassVar[tuple[str, ...]] = ("off_rate", "force_scale")
+    keys: ClassVar[tuple[str, ...]] = ("force_scale", "off_rate")
     b_words: ClassVar[str] = "k x_*/force_scale"
-    rate_words: ClassVar[str] = "off_rate"
 
     @classmethod
     def numbers(cls, thermal: Any, stiffness: float, unit: float) -> tuple[float, ...]:
         return stiffness * unit / thermal.force_scale, thermal.off_rate
-
-    @classmethod
-    def length(cls, thermal: Any, stiffness: float) -> float:
-        return float(thermal.force_scale / stiffness)
 
     @staticmethod
     def exponent(gap: Any, total: Any, xi: Any, a: Any) -> Any:
         return -np.minimum(0.5 * a * (total - gap), MOST)
 
     @classmethod
-    def log_rate(cls, x: Any, xi: Any, a: Any) -> Array:
-        return np.minimum(a * x, MOST) + 0.0 * xi
-
-    @classmethod
     def log_hazard(cls, x: Any, xi: Any, a: Any) -> Array:
         with np.errstate(divide="ignore"):  # x = 0
             return np.log(x) + np.minimum(log_mean(a * x), MOST) + 0.0 * xi
-
-    def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
-        log_odds = np.log(a)[:, None] + levels - self.log_w
-        return np.minimum(np.logaddexp(0.0, log_odds) / a[:, None], xi[:, None])
-
-
-@base.height.register(Bell)
-def _height(law: Bell, xi: float, x: float, a: float) -> float:
-    return -min(a * x, MOST)
 
 
 @base.averaged.register(Bell)
@@ -104,28 +78,25 @@ def _averaged(law: Bell, xi: float, k: float, x: float, length: float) -> float:
 
 @routine(inline=True)
 def _odds(law: Bell, a: float, y: float, clock: float) -> float:
-    """Rise of the hazard by `clock`, over that by 1/a at the rate of stretch y."""
+    """The clock over the hazard in a travel of 1/a at the rate of stretch y."""
     return a * clock * math.exp(-law.log_w - min(a * y, MOST))
 
 
 @base.stretch.register(Bell)
 def _stretch(law: Bell, table: Array, xi: float, k: float, clock: float) -> float:
-    a = law.b * k
-    return min(math.log1p(_odds(law, a, 0.0, clock)) / a, xi)
+    return min(math.log1p(_odds(law, law.b * k, 0.0, clock)) / (law.b * k), xi)
 
 
 @base.onward.register(Bell)
 def _onward(law: Bell, c: Any, xi: float, k: float, y: float, clock: float) -> float:
-    a = law.b * k
-    return min(math.log1p(_odds(law, a, y, clock)) / a, xi - y)
+    return min(math.log1p(_odds(law, law.b * k, y, clock)) / (law.b * k), xi - y)
 
 
 @base.back.register(Bell)
 def _back(
     law: Bell, c: Any, xi: float, k: float, y: float, clock: float
 ) -> tuple[float, float]:
-    a = law.b * k
-    odds, most = _odds(law, a, y, clock), -math.expm1(-a * y)
+    odds, most = _odds(law, law.b * k, y, clock), -math.expm1(-law.b * k * y)
     if odds >= most:
         return y, clock * (1.0 - most / odds)
-    return min(-math.log1p(-odds) / a, y), -1.0
+    return min(-math.log1p(-odds) / (law.b * k), y), -1.0

@@ -4,9 +4,9 @@ Prezhdo, Forero, Sokurenko and Thomas, Biophys. J. 89, 1446, 2005),
     k(f) = k_c exp(-f/f_c) + k_s exp(f/f_s),
     H = (k_c (1 - exp(-c x))/c + k_s (exp(s x) - 1)/s)/(k_c + k_s)
 
-with c = k_i/f_c and s = k_i/f_s (H derived). The rate at zero force, k_c + k_s, stands
-in the place of omega, and the lesser of f_c and f_s in that of f_b. The hazard has no
-inverse in closed form.
+with c = k_i/f_c and s = k_i/f_s (H derived, without inverse in closed form). The rate
+at zero force, k_c + k_s, stands in the place of omega, and the lesser force in that of
+f_b.
 """
 
 import math
@@ -16,16 +16,17 @@ import numpy as np
 
 from eqsim.laws.barrier import base
 from eqsim.laws.barrier.bell import MOST, ByForce, fallen, log_mean
-from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 
 
 class _Numbers(NamedTuple):
     b: float
     log_w: float
-    log_slip: float = 0.0  # logarithms of the shares of k_s and k_c in the rate at f = 0
+    log_slip: float = (
+        0.0  # logarithms of the shares of k_s and k_c in the rate at f = 0
+    )
     log_catch: float = -math.inf
-    slip: float = 1.0  # f_b/f_s and f_b/f_c, f_b the lesser of both
+    slip: float = 1.0  # f_b/f_s and f_b/f_c
     catch: float = 0.0
 
 
@@ -35,34 +36,24 @@ class CatchSlip(_Numbers, ByForce):
     __slots__ = ()
     keys: ClassVar[tuple[str, ...]] = ("catch", "slip")
     b_words: ClassVar[str] = "k x_*/min(catch.force, slip.force)"
-    rate_words: ClassVar[str] = "(catch.rate + slip.rate)"
 
     @classmethod
     def numbers(cls, thermal: Any, stiffness: float, unit: float) -> tuple[float, ...]:
-        catch, slip = thermal.catch, thermal.slip
-        total, force = catch.rate + slip.rate, min(catch.force, slip.force)
-        shares = (path.rate / total if total else 0.0 for path in (slip, catch))
-        logs = (math.log(share) if share > 0.0 else -math.inf for share in shares)
-        over = (force / f if f < math.inf else 0.0 for f in (slip.force, catch.force))
-        return stiffness * unit / force, total, *logs, *over
-
-    @classmethod
-    def length(cls, thermal: Any, stiffness: float) -> float:
-        return float(thermal.slip.force / stiffness)
-
-    @property
-    def kind(self) -> Any:
-        return self._replace(b=1.0, log_w=0.0)
-
-    def exponent(self, gap: Any, total: Any, xi: Any, a: Any) -> Any:  # type: ignore[override]
-        return -self.log_rate(0.5 * (total - gap), xi, a)
-
-    def log_attempt(self, gap: Any, total: Any, xi: Any, a: Any) -> Array:  # type: ignore[override]
-        return self.log_rate(0.5 * (total - gap), xi, a)
+        paths = thermal.slip, thermal.catch
+        rate, force = sum(p.rate for p in paths), min(p.force for p in paths)
+        logs = (math.log(p.rate / rate) if p.rate > 0 else -math.inf for p in paths)
+        over = (1.0 if p.force == force else force / p.force for p in paths)
+        return stiffness * unit / force, rate, *logs, *over
 
     def log_rate(self, x: Any, xi: Any, a: Any) -> Array:  # type: ignore[override]
         slip = np.minimum(self.log_slip + self.slip * a * x, MOST)
         return np.logaddexp(slip, self.log_catch - self.catch * a * x) + 0.0 * xi
+
+    def log_attempt(self, gap: Any, total: Any, xi: Any, a: Any) -> Array:  # type: ignore[override]
+        return self.log_rate(0.5 * (total - gap), xi, a)
+
+    def exponent(self, gap: Any, total: Any, xi: Any, a: Any) -> Any:  # type: ignore[override]
+        return -self.log_attempt(gap, total, xi, a)
 
     def log_hazard(self, x: Any, xi: Any, a: Any) -> Array:  # type: ignore[override]
         slip = np.minimum(self.log_slip + log_mean(self.slip * a * x), MOST)
@@ -84,29 +75,3 @@ def _averaged(law: CatchSlip, xi: float, k: float, x: float, length: float) -> f
     rate = math.exp(law.log_w + min(law.log_slip + slip * (x + length), MOST))
     other = math.exp(law.log_w + law.log_catch - catch * x)
     return rate * fallen(slip * length) + other * fallen(catch * length)
-
-
-@routine(inline=True)
-def _longest(law: CatchSlip, k: float, y: float, clock: float) -> float:
-    """Travel from y on in which the slip pathway alone spends the clock."""
-    slope = law.slip * law.b * k
-    log_time = math.log(max(clock, 1e-300)) - law.log_w - law.log_slip
-    log_time -= min(slope * y, MOST)
-    if slope == 0.0 or log_time > 700.0:
-        return math.inf
-    odds = slope * math.exp(log_time)
-    return math.log1p(odds) / slope if odds > 0.0 else math.exp(log_time)
-
-
-@base.stretch.register(CatchSlip)
-def _stretch(law: CatchSlip, table: Array, xi: float, k: float, clock: float) -> float:
-    most = min(_longest(law, k, 0.0, clock), xi)
-    return base.carried(law, xi, k, 0.0, most, clock, 1.0)
-
-
-@base.onward.register(CatchSlip)
-def _onward(
-    law: CatchSlip, c: Any, xi: float, k: float, y: float, clock: float
-) -> float:
-    most = min(_longest(law, k, y, clock), xi - y)
-    return base.carried(law, xi, k, y, most, clock, 1.0)

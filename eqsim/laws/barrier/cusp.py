@@ -43,22 +43,9 @@ class Cusp(Numbers, Barrier):
                 np.log(-np.expm1(-fall)) - np.log(2.0 * a * xi) - a * (xi - x) ** 2
             )
 
-    def hazard_over(self, x: Array, way: Array, xi: Array, a: Array) -> Array:
-        gap = np.maximum(xi - x, 0.0)
-        size = np.exp(np.minimum(self.log_w - a * gap**2, 300.0)) / (2.0 * a * xi)
-        return np.asarray(-np.expm1(-a * way * (2.0 * gap + way)) * size)
-
     @classmethod
     def width(cls, exponent: Any, y: Any, a: Any) -> Array:
         return np.asarray(np.sqrt(exponent / a) + 0.0 * y)
-
-    def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
-        xi, a = xi[:, None], a[:, None]
-        whole, log_spent = a * xi**2, np.log(2.0 * a * xi) + levels - self.log_w
-        spent = np.minimum(np.logaddexp(0.0, whole + log_spent) / whole, 1.0)
-        # of the barrier, without cancellation where little is left
-        left = np.maximum(-np.logaddexp(-whole, log_spent) / whole, 0.0)
-        return np.asarray(xi * spent / (1.0 + np.sqrt(left)))
 
 
 @routine(inline=True)
@@ -70,16 +57,6 @@ def _way(gap: float, barrier: float, log_w: float, odds: float) -> float:
     # 1 - spent, without cancellation where the barrier is high
     left = ((barrier if excess < FLAT else FLAT + log_w) - log_odds) / barrier
     return min(gap, gap * spent / (1.0 + math.sqrt(left))) if left > 0.0 else gap
-
-
-@base.height_slope.register(Cusp)
-def _height_slope(law: Cusp, xi: float, x: float, a: float) -> float:
-    return 2.0 * a * max(xi - x, 0.0)
-
-
-@base.path_step.register(Cusp)
-def _path_step(law: Cusp) -> float:
-    return 0.5  # the rate falls to 0 at the stretch
 
 
 @base.stretch.register(Cusp)

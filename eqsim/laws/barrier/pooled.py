@@ -39,10 +39,6 @@ from eqsim.numerics.quadrature import Rule, gauss_legendre, normal_exponent
 from eqsim.numerics.tables import Array
 
 
-# What a barrier says without b and log_w, `Barrier.kind`.
-Kind = type[Barrier] | Barrier
-
-
 class PooledHazard(NamedTuple):
     """The pooled integrated hazard G(x) = int_0^x h dy and its inverse: nodes, shape
     (nodes,), and the slope d ln x/d ln G at the left and right end of each cell between
@@ -95,7 +91,7 @@ _UNSEEN_ATTEMPTS = -45.0
 def pooled_rate(
     law: ThresholdLaw,
     stiffness: StiffnessLaw,
-    barrier: Kind,
+    barrier: Barrier,
     b: float,
     y: Array,
     log_w: float = math.inf,
@@ -132,7 +128,7 @@ def pooled_rate(
 def _trapezoid(
     law: Gamma,
     stiffness: StiffnessLaw,
-    barrier: Kind,
+    barrier: Barrier,
     b: float,
     y: Array,
     step: float,
@@ -171,7 +167,7 @@ def _ends_of_panels(law: ThresholdLaw, weak: Array) -> Array:
 def _by_panels(
     law: ThresholdLaw,
     stiffness: StiffnessLaw,
-    barrier: Kind,
+    barrier: Barrier,
     b: float,
     y: Array,
     ends: Array,
@@ -198,8 +194,7 @@ def _by_panels(
     edges = np.sqrt(np.maximum(panels_above(law, y[:, 0], layer) - y, 0.0))
     with np.errstate(invalid="ignore"):  # at y = 0 the first edge is xi = 0
         unseen = (
-            log_w - barrier.exponent(*contact(y, edges[:, :-1]))
-            <= _UNSEEN_ATTEMPTS
+            log_w - barrier.exponent(*contact(y, edges[:, :-1])) <= _UNSEEN_ATTEMPTS
         )
     row, column = np.nonzero((np.diff(edges, axis=1) > 0) & ~unseen)
     half = 0.5 * (edges[row, column + 1] - edges[row, column])[:, None]
@@ -222,7 +217,7 @@ def _steep(law: ThresholdLaw) -> Array:
 
 
 def pooled_hazard(
-    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Kind, b: float
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float
 ) -> PooledHazard:
     """G and its inverse for the annealed ensemble, lengths in units of `law.scale`;
     Delta U = (omega/v) G (nt09).
@@ -289,7 +284,7 @@ def _pooled_cells(log_y: Array, rate: Callable[[Array], Array]) -> PooledHazard:
 
 
 def _pooled_steps(
-    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Kind, b: float
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float
 ) -> PooledHazard:
     """G of equally likely thresholds: a mean of closed forms, at nodes that crowd
     towards each threshold from below, where the rate of attempts on it rises to 1, and
@@ -326,9 +321,7 @@ def _pooled_steps(
     return _monotone(y, G, left, right)
 
 
-def mean_hazard(
-    barrier: Kind, y: Array, xi: Array, share: Array, a: Array
-) -> Array:
+def mean_hazard(barrier: Barrier, y: Array, xi: Array, share: Array, a: Array) -> Array:
     """G at ascending stretches y of a discrete law, a mean of closed forms: thresholds
     xi with their shares and a, lengths in units of the law's scale."""
     G = np.zeros(y.size)
@@ -356,7 +349,7 @@ def _monotone(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
 # are some 3 MB.
 @functools.lru_cache(maxsize=32)
 def pooled_hazard_of(
-    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Kind, b: float
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float
 ) -> PooledHazard:
     """Cached `pooled_hazard`, which does not depend on velocity."""
     return pooled_hazard(law, stiffness, barrier, b)
