@@ -34,7 +34,6 @@ from eqsim.io.labels import described, of_trajectory
 from eqsim.io.tables import read_drive, read_thresholds
 from eqsim.io.units import Interface, Quantity, Row, Units, quantities, rows_of
 from eqsim.laws.aging import RULES, Aging
-from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.delay import Delay
 from eqsim.laws.named import law_of, threshold_parameters
 from eqsim.laws.newborn import LAWS, Newborn
@@ -113,7 +112,7 @@ class RunFile(Listed):
         """The units of its numbers. Raises InputError."""
         law, varied = self["thresholds.law"], repr((self.sweep, self.fit))
         x_star = threshold_parameters(law).get("x_star") if law != "table" else None
-        bond = BARRIERS[self["thermal.barrier"]].by_force
+        bond = self["thermal.off_rate"] is not None or self["thermal.slip"]
         omega = None if bond else self["thermal.attempt_frequency"]
         keys = {
             "x_*": ("x_star", self["thresholds.x_star"] or x_star),

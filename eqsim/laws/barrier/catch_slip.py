@@ -16,6 +16,7 @@ import numpy as np
 
 from eqsim.laws.barrier import base
 from eqsim.laws.barrier.bell import MOST, ByForce, fallen, log_mean
+from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 
 
@@ -75,3 +76,27 @@ def _averaged(law: CatchSlip, xi: float, k: float, x: float, length: float) -> f
     rate = math.exp(law.log_w + min(law.log_slip + slip * (x + length), MOST))
     other = math.exp(law.log_w + law.log_catch - catch * x)
     return rate * fallen(slip * length) + other * fallen(catch * length)
+
+
+@routine(inline=True)
+def _longest(law: CatchSlip, k: float, y: float, clock: float) -> float:
+    """Travel from y on in which the pathway that force opens alone spends the clock."""
+    if law.log_slip < -MOST:
+        return math.inf
+    slope = law.slip * law.b * k
+    ticks = clock * math.exp(-law.log_w - law.log_slip - min(slope * y, MOST))
+    return math.log1p(slope * ticks) / slope if slope * ticks > 1e-300 else ticks
+
+
+@base.stretch.register(CatchSlip)
+def _stretch(law: CatchSlip, table: Array, xi: float, k: float, clock: float) -> float:
+    most = min(_longest(law, k, 0.0, clock), xi)
+    return base.carried(law, xi, k, 0.0, most, clock, 1.0)
+
+
+@base.onward.register(CatchSlip)
+def _onward(
+    law: CatchSlip, c: Any, xi: float, k: float, y: float, clock: float
+) -> float:
+    most = min(_longest(law, k, y, clock), xi - y)
+    return base.carried(law, xi, k, y, most, clock, 1.0)
