@@ -261,6 +261,12 @@ class Pull(NamedTuple):
         f = np.stack((self.forces, self.force_at(np.array(self.ends))), axis=1).ravel()
         return np.append(0.0, t), np.append(0.0, f)
 
+    @property
+    def slow(self) -> bool:
+        """True if the force never falls, and never jumps."""
+        dt, df = map(np.diff, self.knots)
+        return bool(np.all((df == 0.0) | ((df > 0.0) & (dt > 0.0))))
+
 
 def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
     """What pulls the slider of a programme. Raises InputError if nothing does, or a
