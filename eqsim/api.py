@@ -27,8 +27,10 @@ from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.named import Exponential, Lognormal, Normal, Pareto, Uniform, Weibull
 from eqsim.laws.newborn import Newborn
-from eqsim.laws.thermal import Thermal
+from eqsim.laws.no_thresholds import NoThresholds
+from eqsim.laws.thermal import Pathway, Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
+from eqsim.laws.viscosity import Viscosity
 from eqsim.master import bursts as _bursts
 from eqsim.master import closure as _closure
 from eqsim.master import lifetimes as _lifetimes
@@ -75,8 +77,10 @@ __all__ = [
     "Lifetime",
     "Lognormal",
     "Newborn",
+    "NoThresholds",
     "Normal",
     "Pareto",
+    "Pathway",
     "Population",
     "Posterior",
     "Programme",
@@ -98,6 +102,7 @@ __all__ = [
     "Uniform",
     "Units",
     "Validation",
+    "Viscosity",
     "Weibull",
     "breaks",
     "bursts",

@@ -8,7 +8,7 @@ and of a parameter if it has one, with NumPy's formulas as methods.
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -345,7 +345,7 @@ class Delay:
     sigma: float | None = None
     activation: float = 0.0
     velocity_exponent: float = 0.0
-    velocity: float = field(default=1.0, metadata={"no_default_in_files": True})
+    velocity: float = 1.0
 
     def __post_init__(self) -> None:
         if self.time != math.inf:
@@ -376,7 +376,8 @@ class Delay:
             endless = self.activation > _MOST_ACTIVATION * kT
             time *= math.inf if endless else math.exp(self.activation / kT)
         if self.velocity_exponent and time < math.inf:
-            time *= (velocity / self.velocity) ** self.velocity_exponent
+            logs = math.log(velocity) - math.log(self.velocity)
+            time *= math.exp(min(self.velocity_exponent * logs, _MOST_ACTIVATION))
         return Delay(time, self.law, self.shape, self.sigma)
 
     def reduced(self, velocity: float = 1.0, unit: float = 1.0) -> DelayLaw:

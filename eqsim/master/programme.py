@@ -30,9 +30,11 @@ from scipy import integrate, special
 from scipy.interpolate import Akima1DInterpolator
 
 from eqsim.errors import InputError
+from eqsim.estimate import Estimate
 from eqsim.laws.aging import Unaged
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.delay import Fixed
+from eqsim.laws.no_thresholds import NoThresholds, has_jumps
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw
 from eqsim.master.annealed import successful_attempts
 from eqsim.master.cohorts import (
@@ -170,10 +172,9 @@ def _tables(contacts: Reduced, cells: int) -> LawTables:
         y.sort()
         before = np.diff(y, append=math.inf) == 0
         index = np.searchsorted(xi, y, side="right") - before
-        above, rate = (
-            _totals_from(share * stiff**_STIFFNESS_POWERS)[:, index],
-            np.zeros(y.size),
-        )
+        # in the order in which other tables are stored: kernels for another are others
+        above = _totals_from(share * stiff**_STIFFNESS_POWERS).take(index, axis=1)
+        rate = np.zeros(y.size)
         barrier, contributing = contacts.barrier, xi.size if contacts.annealed else 0
         for i in range(contributing):
             last = np.searchsorted(y, xi[i]) + 1
@@ -343,6 +344,25 @@ def _typical(contacts: Reduced, reach: float) -> float:
     return float(np.mean(law.inverse_survival(-np.log1p(-share * ranks)))) / law.scale
 
 
+def outlived(contacts: Reduced) -> Array:
+    """Stretches that 1/e and e^-36 of contacts without delay outlive, shape (2,), if
+    none or the median threshold is in the way."""
+    law, barrier = contacts.law, contacts.barrier
+    xi = np.array([float(law.inverse_survival(math.log(2.0))) / law.scale])
+    a = barrier.b * kappa_of(contacts, xi)
+    return np.minimum(barrier.stretch_at(np.log([1.0, 36.0]), xi, a)[0], xi)
+
+
+def _lift(contacts: Reduced) -> float:
+    """ln of how far the rate at which heat breaks contacts rises beyond that of
+    attempts, as it does where force alone decides."""
+    barrier = contacts.barrier
+    if not barrier.by_force:
+        return 0.0
+    last = outlived(contacts)[-1:]
+    return max(float(barrier.log_rate(last, last, barrier.b)[0]), 0.0)
+
+
 def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
     """Resolution of contacts that are stretched by no more than `reach`. Raises
     InputError for contacts whose lives are too different for a stationary start."""
@@ -352,6 +372,9 @@ def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
     exponents = np.array([0.17, 1.8, 36.0])
     low, high, strongest = np.asarray(law.inverse_survival(exponents)) / law.scale
     typical = law.mean / law.scale if v else _typical(contacts, reach)
+    if isinstance(law, NoThresholds):
+        one, strongest = outlived(contacts)
+        typical = min(one, reach)
     width = typical
     if high > low:
         width = min(max(1.5 * (high - low), 0.02 * typical), typical)
@@ -378,7 +401,7 @@ def solve(contacts: Reduced, course: Course) -> tuple[Array, Array, list[History
     grown = np.append(np.abs(growth[:-1] - 1.0) > _LEAST_GROWTH, True)
     quickest = min(1.0, delay.mean or 1.0, float(ages[np.argmax(grown)]))
     if thermal:
-        quickest = min(quickest, math.exp(-contacts.barrier.log_w))
+        quickest = min(quickest, math.exp(-contacts.barrier.log_w - _lift(contacts)))
     fixed, changes = isinstance(delay, Fixed), not isinstance(aging, Unaged)
     sharp = sharp_instants(
         Corners(corners, X),
@@ -428,8 +451,11 @@ class Transient(Result):
         estimate; None if not asked for, if contacts stay in step for longer than the
         grids resolve, or if the stationary variance is infinite.
     stage, X_error : ndarray or None
-        Of a slider that a stage pulls, in mean field: displacement of the stage's end
-        of the spring, and the error estimate of X, which is found with it (length).
+        Of a slider that is pulled, in mean field: displacement of the stage's end of
+        the spring, and the error estimate of X (length), which is found with it and is
+        not a number once a slider under a force has let go.
+    lifetime : Estimate or None
+        When it lets go (time), if it does.
     """
 
     drawn: ClassVar[Drawn] = Drawn(
@@ -446,6 +472,7 @@ class Transient(Result):
     force_variance_error: Array | None = None
     stage: Array | None = None
     X_error: Array | None = None
+    lifetime: Estimate | None = None
 
 
 def with_drag(
@@ -489,7 +516,7 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
     unit, time = ensemble.thresholds.scale, grid.t[-1]
     kinks, edges, solved = solve(contacts, course)
     t, finest = np.minimum(grid.t / time, 1.0), solved[-1]
-    jumps = np.searchsorted(edges, kinks) if contacts.law.steps.size else None
+    jumps = np.searchsorted(edges, kinks) if has_jumps(contacts.law) else None
     grids = [np.array(history[:3]) for history in solved]
     best, errors = _extrapolated_means(edges, grids, jumps)
     # the variance is interpolated: it is nearer to linear than the mean square
@@ -511,7 +538,8 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
             breaks[begin:end] = np.interp(inside, 0.5 * (x[1:] + x[:-1]), rate)
         first, begin = last, end
     missed = np.array([np.interp(t, edges, error) for error in errors])
-    drag = drag_of(ensemble, unit / time) * course.velocity[grid.segment]
+    moving = [drag_of(ensemble, g.pace) * g.sign for g in legs(ensemble, programme)]
+    drag = np.array(moving)[grid.segment]
     return with_drag(grid, values, missed, drag, 0.0, unit, breaks / time)
 
 

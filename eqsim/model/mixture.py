@@ -89,11 +89,12 @@ def mixed_averages(
         every = [getattr(each, name) for each in found]
         stderr = float(np.sum(errors) if bounds else np.sqrt(errors @ errors))
         spread = float(np.nansum(errors**4 / column(name, "dof")))
+        known = math.isfinite(stderr)
         mixed[name] = Estimate(
             None if math.isnan(mean) else mean,
-            None if math.isnan(stderr) else stderr,
+            stderr if known else None,
             sum(each.n for each in every),
-            math.floor(stderr**4 / spread) if spread > 0.0 else None,
+            math.floor(stderr**4 / spread) if known and spread > 0.0 else None,
             all(each.reliable for each in every),
         )
         if any(each.diverges for each in every):
