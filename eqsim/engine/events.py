@@ -649,7 +649,7 @@ def by_events(ensemble: Ensemble, programme: Programme) -> bool:
     if pull.motor:
         driven = pull.stiffness == 0.0 or not slowed
     elif pull.forced:
-        driven = not cold_bundle or bool(np.any(np.diff(pull.knots[1]) < 0.0))
+        driven = not (cold_bundle and pull.slow)
     else:
         driven = not slowed and (heat or delay > 0.0)
     return bool(

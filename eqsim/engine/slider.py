@@ -396,7 +396,7 @@ class Slider:
             and not self.pull.motor
             and (self.drag == 0.0 or delay == 0.0)
             and min(self.pull.speeds) >= 0.0
-            and bool(np.all(np.diff(self.pull.knots[1]) >= 0.0))
+            and self.pull.slow
             and self.pull.stiffness * stretch >= sums.force * (1.0 - 1e-12)
         )
 

@@ -198,7 +198,7 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
     drag = ensemble.viscosity
     bent = ensemble.eta * (drag.exponent - 1.0)
     for name, wrong, allowed in (("force", drag.force, 0), ("exponent", bent, 1)):
-        if wrong and programme.stage:
+        if wrong and programme.pulled:
             raise InputError(
                 f"viscosity.{name} = {getattr(drag, name):g}: must be {allowed} with "
                 "drive.stage, whose slider has a drag in proportion to its velocity"
@@ -279,6 +279,12 @@ class Pull(NamedTuple):
         t = np.stack((begins, self.ends), axis=1).ravel()
         f = np.stack((self.forces, self.force_at(np.array(self.ends))), axis=1).ravel()
         return np.append(0.0, t), np.append(0.0, f)
+
+    @property
+    def slow(self) -> bool:
+        """True if the force never falls, and never jumps."""
+        dt, df = map(np.diff, self.knots)
+        return bool(np.all((df == 0.0) | ((df > 0.0) & (dt > 0.0))))
 
 
 def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:

@@ -65,8 +65,25 @@ def test_two_bonds_that_are_pinned_again_unstretched():
     exact = 1.0 / (2.0 * k(0.3)) + (1.0 + g / (k(0.6) + k(0.0))) / k(0.6)
     stderr = found.lifetimes.std() / math.sqrt(replicas)
     assert abs(found.lifetimes.mean() - exact) < 4.5 * stderr
-    equal = lifetime(bonds, creep(0.3, 1e4), points=2).mean.value
+    shared = Programme([Segment(force=0.3, time=1e4)], rebinding="shared")
+    equal = lifetime(bonds, shared, points=2).mean.value
     assert equal == pytest.approx(1.179 * exact, rel=1e-3, abs=0)
+
+
+def test_clusters_that_share_the_force_when_pinned_again():
+    """Erdmann and Schwarz: 10 bonds. Negative control: a rate of births 3 % larger."""
+    replicas, shared = 20_000, {"rebinding": "shared"}
+    drive = Programme([Segment(force=0.45, time=1e4)], **shared)
+
+    def bonds(tau):
+        return Ensemble(Delta(), Thermal(0.2), Delay(tau, "exponential"), count=10)
+
+    found = trajectory(bonds(2.0), drive, points=2, replicas=replicas, seed=9).lifetimes
+    exact = lifetime(bonds(2.0), drive, points=2)
+    stderr = exact.std.value / math.sqrt(replicas)
+    assert abs(found.mean() - exact.mean.value) < 4.5 * stderr
+    other = lifetime(bonds(1.94), drive, points=2).mean.value
+    assert abs(found.mean() - other) > 4.5 * stderr
 
 
 def test_bursts():
