@@ -18,6 +18,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from eqsim import catalogue
 from eqsim.errors import (
     NOT_NEGATIVE,
     POSITIVE,
@@ -570,9 +571,6 @@ _OF_POPULATION: dict[str, type] = {
     for name, key in schema.KEYS.items()
     if name.partition(".")[0] in ("population", *schema.OF_POPULATION)
 }
-# Keys that count where they have a value, as those of optional sections do: points of
-# sweeps keep their names.
-_WHERE_GIVEN = ("thermal.off_rate", "thermal.force_scale")
 
 
 def keys(file: RunFile | None = None) -> dict[str, type]:
@@ -583,9 +581,6 @@ def keys(file: RunFile | None = None) -> dict[str, type]:
     known = dict(_PARAMETERS)
     if file is None:
         return known
-    for name in _WHERE_GIVEN:
-        if file[name] is None:
-            del known[name]
     for section in schema.OPTIONAL:
         if file[section]:
             below = schema.keys_of(section).items()
@@ -608,6 +603,19 @@ def parameters(file: RunFile) -> dict[str, Any]:
             found[f"thresholds.{key}"] = default
     # no -0.0
     return {k: v + 0.0 if isinstance(v, float) else v for k, v in found.items()}
+
+
+_NEWER = {name for name, key in catalogue.KEYS.items() if key.since}
+
+
+def naming(file: RunFile) -> dict[str, Any]:
+    """The `parameters` that name a point of a sweep. Keys that came with a later version
+    are among them where they differ from their defaults: points keep their names."""
+    return {
+        key: value
+        for key, value in parameters(file).items()
+        if key not in _NEWER or value != schema.KEYS[key].default
+    }
 
 
 def _part(data: Any, name: str) -> Any:
