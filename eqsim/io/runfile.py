@@ -153,19 +153,15 @@ class RunFile(Listed):
     @property
     def constant(self) -> bool:
         """True for a drive at `drive.velocity` over `drive.distance`."""
-        names = "programme", "file", "stage", "stall_force", "force", "force_rate"
-        return all(self.settings["drive"][name] is None for name in (*names, "time"))
+        names = self.settings["drive"].keys() - {"velocity", "distance", "start"}
+        return all(self.settings["drive"][name] is None for name in names)
 
     @property
     def pulled(self) -> bool:
         """True if a stage, a force or a motor moves the slider."""
-        drive = self.settings["drive"]
+        parts = [self.settings["drive"], *(self["drive.programme"] or ())]
         names = "stage", "stall_force", "force", "force_rate"
-        forced = any(
-            "force" in part
-            for part in self.given.get("drive", {}).get("programme") or ()
-        )
-        return forced or any(drive[name] is not None for name in names)
+        return any(part.get(name) is not None for part in parts for name in names)
 
     @cached_property
     def ensemble(self) -> Ensemble:
@@ -314,6 +310,7 @@ class RunFile(Listed):
                 given["velocity"],
                 pulled_by,
                 math.inf if stall is None else stall,
+                given["rebinding"] or "unstretched",
             )
 
     def with_changes(self, changes: dict[str, Any]) -> "RunFile":

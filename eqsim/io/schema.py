@@ -93,6 +93,7 @@ _OTHERS = {
     "drive.force_rate": _NUMBER,
     "drive.time": _NUMBER,
     "drive.stall_force": _NUMBER,
+    "drive.rebinding": _TEXT,
     "drive.file": _TEXT,
     "drive.programme.velocity": _NUMBER,
     "drive.programme.hold": _NUMBER,  # the time of a segment that does not move

@@ -48,11 +48,14 @@ from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.laws.viscosity import Viscosity
 from eqsim.model.drive import Programme
 from eqsim.model.ensemble import Ensemble
+from eqsim.numerics.tables import Array
 
 # Hazard that no contact outlives.
 _SPENT = 100.0
 # b below which the barrier is 0.
 _LEAST_B = 1e-100
+# Relative difference of times that are the same but for rounding.
+_SAME_TIME = 1e-12
 # b up to which rates that rise to exp(`laws.barrier.bell.MOST`) break all bonds.
 _MOST_OVER_FORCE = 1e80
 # b above which a pooled hazard would be made of differences between neighbouring
@@ -185,7 +188,7 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
     speeds = {abs(segment.velocity) for segment in programme.segments}
     if programme.start == "stationary":
         speeds.add(programme.velocity or 0.0)
-    if ensemble.delay.velocity_exponent and (len(speeds) > 1 or programme.stage):
+    if ensemble.delay.velocity_exponent and (len(speeds) > 1 or programme.pulled):
         raise InputError(
             f"delay.velocity_exponent = {ensemble.delay.velocity_exponent:g}: must be 0 "
             "with a stage, a hold, and segments of several velocities"
@@ -195,7 +198,7 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
     drag = ensemble.viscosity
     bent = ensemble.eta * (drag.exponent - 1.0)
     for name, wrong, allowed in (("force", drag.force, 0), ("exponent", bent, 1)):
-        if wrong and programme.stage:
+        if wrong and programme.pulled:
             raise InputError(
                 f"viscosity.{name} = {getattr(drag, name):g}: must be {allowed} with "
                 "drive.stage, whose slider has a drag in proportion to its velocity"
@@ -254,6 +257,34 @@ class Pull(NamedTuple):
     def motor(self) -> bool:
         """True if a motor with a finite stall force drives."""
         return self.stall < math.inf
+
+    @property
+    def forced(self) -> bool:
+        """True if a force pulls the slider itself."""
+        return self.stiffness == 0.0 and not self.motor
+
+    def force_at(self, t: Array) -> Array:
+        """f at times t (any shape); at the end of a segment that of this segment."""
+        last = len(self.ends) - 1
+        i = np.minimum(np.searchsorted(self.ends, t * (1.0 - _SAME_TIME)), last)
+        since = t - np.append(0.0, self.ends)[i]
+        return np.asarray(
+            np.array(self.forces)[i] + np.array(self.force_rates)[i] * since
+        )
+
+    @property
+    def knots(self) -> tuple[Array, Array]:
+        """Times and forces at the ends of straight pieces of f(t), from 0 and 0 on."""
+        begins = np.append(0.0, self.ends[:-1])
+        t = np.stack((begins, self.ends), axis=1).ravel()
+        f = np.stack((self.forces, self.force_at(np.array(self.ends))), axis=1).ravel()
+        return np.append(0.0, t), np.append(0.0, f)
+
+    @property
+    def slow(self) -> bool:
+        """True if the force never falls, and never jumps."""
+        dt, df = map(np.diff, self.knots)
+        return bool(np.all((df == 0.0) | ((df > 0.0) & (dt > 0.0))))
 
 
 def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
