@@ -29,11 +29,16 @@ from eqsim.laws.named import Exponential, Lognormal, Normal, Pareto, Uniform, We
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
+from eqsim.laws.viscosity import Viscosity
+from eqsim.master import bursts as _bursts
 from eqsim.master import closure as _closure
+from eqsim.master import lifetimes as _lifetimes
 from eqsim.master import stability as _stability
 from eqsim.master import steady as _exact
 from eqsim.master import transient as _transient
+from eqsim.master.bursts import Bursts
 from eqsim.master.closure import Closure
+from eqsim.master.lifetimes import Lifetime
 from eqsim.master.stability import FreshSlip, Stability
 from eqsim.master.steady import Curve, Reference
 from eqsim.master.transient import Fluctuations, Transient
@@ -50,6 +55,7 @@ __all__ = [
     "OBSERVABLES",
     "Aging",
     "Breaks",
+    "Bursts",
     "Closure",
     "Curve",
     "Delay",
@@ -67,6 +73,7 @@ __all__ = [
     "Gamma",
     "InputError",
     "Interface",
+    "Lifetime",
     "Lognormal",
     "Newborn",
     "Normal",
@@ -92,14 +99,17 @@ __all__ = [
     "Uniform",
     "Units",
     "Validation",
+    "Viscosity",
     "Weibull",
     "breaks",
+    "bursts",
     "closure",
     "curve",
     "elastic_trajectory",
     "fit",
     "fluctuations",
     "fresh_slip",
+    "lifetime",
     "load",
     "posterior",
     "reference",
@@ -116,6 +126,7 @@ __all__ = [
 
 # these take a run file, too, in the place of contacts and a drive
 breaks = calls.accepts_run_file(_breaks.breaks)
+bursts = calls.accepts_run_file(_bursts.bursts, calls.many_sizes, output=())
 closure = calls.accepts_run_file(_closure.closure)
 curve: calls.CurveCall = cast(
     Any, calls.accepts_run_file(_exact.curve, calls.swept_velocities)
@@ -125,6 +136,7 @@ fluctuations = calls.accepts_run_file(
     _transient.fluctuations, calls.over_cycles, output=()
 )
 fresh_slip = calls.accepts_run_file(_stability.fresh_slip)
+lifetime = calls.accepts_run_file(_lifetimes.lifetime)
 reference = calls.accepts_run_file(_exact.reference)
 stability = calls.accepts_run_file(_stability.stability)
 steady = calls.accepts_run_file(_steady.steady)

@@ -1,9 +1,9 @@
 """Breaks one after another, and their avalanches, behind a stage that pulls infinitely
 slowly at T = 0.
 
-Without heat, delay, damping and mass the slider is always in balance, kappa (Y - X) =
+Without heat, damping and mass the slider is always in balance, kappa (Y - X) =
 F(X), or slips until it is. A contact breaks where X reaches X_birth + xi - y, with y
-its stretch at birth; the stage has to be at
+its stretch at birth, and is pinned again at once, or never; the stage has to be at
 
     Y(X) = X + F(X)/kappa
 
@@ -11,6 +11,7 @@ for that. All breaks with Y(X) below the largest Y so far follow at once: an ava
 F is linear in X between breaks, so nothing is approximate.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -135,13 +136,22 @@ def _slip(now: Any, stiffness: float, x: float) -> None:
 
 @routine
 def _break(laws: Contacts, key: Key, first: int, queue: Queue, now: Any) -> None:
-    """Break the next contact, and pin it again."""
+    """Break the next contact, and pin it again unless its delay is infinite."""
     i = queue.contact[0]
     each = 1.0 / queue.threshold.size
     xi = queue.threshold[i]
     stiffness = kappa(laws.springs, xi)
     now.force -= stiffness * xi * each
     now.lost += 0.5 * stiffness * xi * xi * each
+    now.size += 1
+    now.breaks += 1
+    if laws.delay.mean == math.inf:
+        now.stiffness -= stiffness * each
+        put_back(queue.position, queue.contact, math.inf)
+        if queue.position[0] == math.inf:  # else rounding is left
+            now.force = 0.0
+            now.stiffness = 0.0
+        return
     born, y, _ = draw_birth(laws.newborn, laws, key, first + i, queue.lives[i])
     queue.threshold[i] = born
     queue.lives[i] += 1
@@ -149,8 +159,6 @@ def _break(laws: Contacts, key: Key, first: int, queue: Queue, now: Any) -> None
     now.force += stiffness_born * y * each
     now.lost -= 0.5 * stiffness_born * y * y * each
     now.stiffness += (stiffness_born - stiffness) * each
-    now.size += 1
-    now.breaks += 1
     put_back(queue.position, queue.contact, queue.position[0] + born - y)
 
 
@@ -171,8 +179,10 @@ def load(
     rows = 0
     while way.stop[0] == 0:
         next_break = queue.position[0]
-        force = now.force + now.stiffness * (next_break - now.X)
-        needed = next_break + force / way.stiffness
+        needed = math.inf
+        if next_break < math.inf:
+            force = now.force + now.stiffness * (next_break - now.X)
+            needed = next_break + force / way.stiffness
         if needed <= now.Y:
             _slip(now, way.stiffness, next_break)
         else:

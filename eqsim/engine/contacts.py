@@ -3,7 +3,6 @@
 from typing import Any, NamedTuple
 
 from eqsim.laws.barrier.pooled import Pooled, pooled_hazard_of
-from eqsim.laws.delay import Waits
 from eqsim.laws.newborn import Stretched, Unstressed, stretched
 from eqsim.laws.stiffness import Springs
 from eqsim.laws.threshold import Thresholds, for_kernels
@@ -23,7 +22,7 @@ class Contacts(NamedTuple):
     hazard_table: Array  # for `laws.barrier.base.hazard`
     aging: Any  # an `AgingLaw`
     aging_table: Array  # for `laws.aging.base.work`
-    delay: Waits
+    delay: Any  # `Waits` or `DrawnWaits`
     newborn: Any  # `Unstressed` or `Stretched`
 
 

@@ -310,6 +310,7 @@ def check_elastic(
         raise InputError("drive.elastic: is required, the blocks that the plate pulls")
     elastic.contacts_per_block(ensemble.count)
     thermal, delay, eta = ensemble.thermal, ensemble.delay.time, ensemble.eta
+    drag = ensemble.viscosity.force
     hot = thermal.kT * thermal.attempt_frequency > 0
     aging, born, springs = ensemble.aging, ensemble.newborn, ensemble.stiffness_law
     fresh = drive.start == "fresh"
@@ -318,6 +319,7 @@ def check_elastic(
         "delay.time": (delay > 0, delay, 0, "a delay needs time"),
         "aging.rule": (aging.active, aging.rule, "none", "aging needs time"),
         "newborn.law": (born.active, born.law, "unstressed", _BACKWARDS),
+        "viscosity.force": (drag > 0, drag, 0, "its blocks have no velocity"),
         "viscosity.eta": (eta > 0, eta, 0, "viscous force needs a velocity"),
         "contacts.stiffness_law": (springs != "uniform", springs, "uniform", _CHANGES),
         "drive.start": (not fresh, drive.start, "fresh", _NO_STEADY_STATE),

@@ -14,7 +14,7 @@ from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.follow import follow
 from eqsim.engine.lanes import idle_lanes
 from eqsim.engine.langevin import STEP_ERROR, step_error
-from eqsim.engine.recorder import Extent, Moments, Run, Scales
+from eqsim.engine.recorder import Extent, Moments, Recorder, Run, Scales
 from eqsim.engine.records import ProgrammeTrajectory, shown_by
 from eqsim.engine.sample import typical_lives
 from eqsim.engine.scatter import Scatter
@@ -116,9 +116,6 @@ class Steps(NamedTuple):
     def simulate(self, total: Totals, first: int, last: int) -> None:
         single, held = len(self.steps) == 1, self.steps[0].run.moves == 0
         handed_on = not single or self.before is not None or held
-        kind = recorder.recorder_for(
-            {recorder.recorded_alone(s.contacts, s.run) for s in self.steps}
-        )
         together = _HANDED_ON_TOGETHER if handed_on else max(last - first, 1)
         # At least once: a call without contacts compiles the kernels.
         for begin in range(first, max(last, first + 1), together):
@@ -126,7 +123,7 @@ class Steps(NamedTuple):
             start = self._population(begin, end - begin) if handed_on else self.start
             for step in self.steps:
                 c = step.contacts
-                record = kind.of(c, step.run, step.scales, start, total, step.row)
+                record = Recorder.of(c, step.run, step.scales, start, total, step.row)
                 follow(c, record, begin, end, *idle_lanes(c, self.key))
                 if total.stop[0]:
                     return

@@ -216,8 +216,8 @@ class Columns(NamedTuple):
 
 
 class Recorder(NamedTuple):
-    """Recorder of `engine.follow` that adds up forces and averages along a segment.
-    Lives of all lanes are recorded together, or one by one."""
+    """Recorder of `engine.follow` that adds up forces and averages along a segment: of
+    lives of all lanes together, or one by one. A kernel compiles one of the two."""
 
     run: Run
     start: Any  # `Fresh`, `Stationary` or `Snapshot`: how contacts come in
@@ -228,20 +228,19 @@ class Recorder(NamedTuple):
     lives: Array  # (1,), so far
     stop: Array  # (1,), anything but 0 ends the kernel
     joined: bool  # a life begins where another ends, and is as stiff
-    alone: bool  # lives are recorded one by one
     carries: bool  # travels are found for all lanes before lives are recorded
     averaging: Averaging
     columns: Columns
     narrow: bool  # as in `Scales`
 
-    @classmethod
+    @staticmethod
     def of(
-        cls, c: Contacts, run: Run, scales: Scales, start: Any, total: Any, row: int = 0
+        c: Contacts, run: Run, scales: Scales, start: Any, total: Any, row: int = 0
     ) -> "Recorder":
         """Record contacts that come in from `start` in the sums of a `blocks.Totals`.
         Deposits are those from `row` on."""
         alone = recorded_alone(c, run)
-        return cls(
+        return (OneByOne if alone else Together)(
             run,
             start,
             scales.deposits,
@@ -251,7 +250,6 @@ class Recorder(NamedTuple):
             total.lives,
             total.stop,
             joined=not alone and c.springs.slope == 0.0 and c.delay.mean == 0.0,
-            alone=alone,
             carries=run.moves != 0 and not (alone and _follows_paths(c, run)),
             averaging=Averaging.empty(),
             columns=Columns.empty(),
@@ -260,7 +258,7 @@ class Recorder(NamedTuple):
 
 
 class Together(Recorder):
-    """A recorder of all lanes at once; kernels compile nothing else."""
+    """A recorder of all lanes at once."""
 
     __slots__ = ()
 
@@ -269,11 +267,6 @@ class OneByOne(Recorder):
     """A recorder of lives one by one (`recorded_alone`)."""
 
     __slots__ = ()
-
-
-def recorder_for(alone: set[bool]) -> type[Recorder]:
-    """Choose the recorder for segments in which lives are recorded `alone`, or not."""
-    return Recorder if len(alone) > 1 else OneByOne if True in alone else Together
 
 
 def recorded_alone(c: Contacts, run: Run) -> bool:

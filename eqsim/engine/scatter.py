@@ -33,6 +33,8 @@ from eqsim.numerics.tables import Array
 _LATTICE = 1024  # cells
 # cells of the finer lattice in the mean life that a snapshot finds
 _CELLS_IN_A_LIFE = 32
+# Stands for an infinite delay: pinned shares of its inverse, cubed, do not underflow.
+ENDLESS = 1e50
 _FORCE_POWERS = 7  # of forces: 0 to 6
 _LOG_RANKS = -16.0, 45.0
 _PATHS = 2**12  # of thresholds that fluctuate
@@ -147,7 +149,7 @@ def scatter(c: Contacts, born: Births, distance: float | None, drag: float) -> S
 
 def _stationary(c: Contacts, born: Births) -> Array:
     """E f^p of pinned contacts, p = 0, 1, ..., times the pinned fraction."""
-    cycle = np.sum(born.share * born.travel) + c.delay.mean
+    cycle = np.sum(born.share * born.travel) + min(c.delay.mean, ENDLESS)
     reached = born.birth + born.travel
     ends, begins, moments = born.share * reached, born.share * born.birth, []
     with np.errstate(over="ignore", invalid="ignore"):

@@ -359,15 +359,6 @@ def note_alone(
     return ended
 
 
-@note_lives.register(Recorder)
-def _note_either(
-    recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
-) -> bool:
-    if recorder.alone:
-        return note_alone(recorder, c, lanes, lives, r, active)
-    return note_together(recorder, c, lanes, lives, r, active)
-
-
 note_lives.register(Together)(note_together)
 note_lives.register(OneByOne)(note_alone)
 

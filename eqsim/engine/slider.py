@@ -366,7 +366,7 @@ class Slider:
         self.quasi_static = (
             not self.waits
             and len(self.groups) == 1
-            and self.groups[0].laws.delay.mean == 0.0
+            and self.groups[0].laws.delay.mean in (0.0, math.inf)
             and self.pull.damping == self.pull.mass == 0.0
             and min(self.pull.speeds) >= 0.0
             and self.pull.stiffness * stretch >= sums.force * (1.0 - 1e-12)

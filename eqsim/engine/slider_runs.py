@@ -110,7 +110,6 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledR
     now["stiffness"] = start.sums.stiffness
     course = np.zeros(instants.size, _COURSE)
     course["stage"] = stages
-    course["pinned"] = 1.0
     found = []
     with ThreadPool(1) as thread:
         for stage, row in zip(stages, course, strict=True):
@@ -119,11 +118,13 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledR
             load = avalanches.EVENT, avalanches.load, *contacts
             found.append(thread.submit(avalanches.events_of, *load).result())
             xi = queue.threshold[queue.contact]
-            stiffness = kappa(group.laws.springs, xi)
-            stretch = now["X"] - queue.position + xi
+            pinned = np.isfinite(queue.position)  # the others never form again
+            stiffness = kappa(group.laws.springs, xi) * pinned
+            stretch = np.where(pinned, now["X"] - queue.position + xi, 0.0)
             square = float(np.mean((stiffness * stretch) ** 2))
             spring = 0.5 * pull.stiffness * (stage - now["X"]) ** 2
             row["X"] = now["X"]
+            row["pinned"] = np.mean(pinned)
             row["friction"] = now["force"]
             row["variance"] = max(square - now["force"] ** 2, 0.0) / slider.count
             row["work"] = now["work"]

@@ -38,6 +38,7 @@ from eqsim.engine.sample import rough_stretch
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate, infinite, known
 from eqsim.laws.aging.base import stiffness_varies
+from eqsim.laws.delay import Waits
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.mixture import mixed_averages, summed
@@ -276,6 +277,12 @@ def _averages(
 ) -> tuple[Estimate, ...]:
     """Delta-method estimates from the randomisations, in the order of `OBSERVABLES`;
     `drag` is eta v/k and `unit` that of length."""
+    if c.delay.mean == math.inf:  # in the end all contacts are detached
+        of_lives = c._replace(delay=Waits(0.0, 0.0))
+        found = _averages(of_lives, sums, drag, unit, size, covered, unseen)
+        known_ones = (drag * unit, 0.0, 0.0)
+        of_all = [Estimate(value, 0.0, found[1].n) for value in known_ones]
+        return of_all[0], of_all[1], *found[2:5], of_all[2]
     reliable = covered and float(sums[:, 4].max()) < _DOMINANT_SHARE
     n, delay, hidden = RANDOMISATIONS * size, c.delay.mean, unseen.means
     work, travel, square, birth = sums[:, :4].T

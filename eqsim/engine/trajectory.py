@@ -67,6 +67,8 @@ def check_run(
             programme.check_programme(kind.contacts, drive)
     else:
         require_drive(drive)
+        for kind in ensemble.kinds if drive.start == "stationary" else ():
+            kind.contacts.require_steady_state()
         distance = drive.over(ensemble) / ensemble.thresholds.scale
         require_number("distance / threshold", distance, least=1e-100, most=1e100)
     expected = predicted_lives(ensemble, drive, output.replicas)
@@ -204,7 +206,9 @@ def trajectory(
     second_half = _second_half(windows, done.lives, count, drag)
     late = law.at(np.linspace(0.5 * run.distance, run.distance, 1025))
     spread = estimate.infinite(count)
-    if not ensemble.divergence:
+    if c.delay.mean == math.inf:  # no stationary state gives it an error
+        spread = Estimate(None, None, count)
+    elif not ensemble.divergence:
         spread = _force_variance(variance, level, run, count, noise)
     gone = _is_over(second_half[0], late.mean, level.mean[0])
     gone = gone and _is_over(second_half[1], late.pinned, level.pinned[0])
@@ -281,7 +285,7 @@ def independent(
     work + drag T - friction (l + T) these are n (E r^2)^3/max(E r+^3, E r-^3)^2: their
     inverse square root bounds the skewness of the mean of r, and half of it how far
     Student's t is off in the mean (derived)."""
-    waits = c.delay.law.sample()
+    waits = np.minimum(c.delay.law.sample(), scatter.ENDLESS)
     share = np.repeat(born.share / waits.size, waits.size)
     wait = np.tile(waits, born.share.size)
     stiffness, travel, birth = (np.repeat(part, waits.size) for part in born[1:])

@@ -129,7 +129,7 @@ class RecordForward:
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
         """See `Forward`."""
         course = self._course(changes)
-        if course.programme.stage is None:
+        if not course.programme.pulled:
             means = means_along(course.ensemble, course.programme, course.grid)
             return means.force[course.points], means.force_error[course.points]
         force = self._coarse(course)
@@ -142,7 +142,7 @@ class RecordForward:
         solves with finer time steps, taken to be of second order. Its error is a third
         of what the last refinement changes, more than tests have seen."""
         course = self._course(changes)
-        if course.programme.stage is None:
+        if not course.programme.pulled:
             return self
         middle, finest = (force_of(*course[:3], fine)[course.points] for fine in (2, 4))
         correction = (4.0 * finest - middle) / 3.0 / self._coarse(course) - 1.0
@@ -152,7 +152,7 @@ class RecordForward:
     def settle_steps(self, changes: dict[str, float]) -> "RecordForward":
         """Take the time steps that a solve at these parameters chooses; uncorrected."""
         course = self._course(changes)
-        if course.programme.stage is None:
+        if not course.programme.pulled:
             return self
         choices = choices_of(*course[:3], _COARSE, _MOST_SOLVER_STEPS)
         return replace(self, correction=None, error=None, choices=choices)

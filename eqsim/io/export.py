@@ -9,7 +9,13 @@ from typing import Any
 
 from eqsim.errors import InputError
 from eqsim.io import csv, labels
-from eqsim.io.storage import SWEEP_HIDDEN, SWEEP_MANIFEST, SWEEP_PARTS, sweep_files
+from eqsim.io.storage import (
+    SWEEP_HIDDEN,
+    SWEEP_MANIFEST,
+    SWEEP_PARTS,
+    read_parquet,
+    sweep_files,
+)
 from eqsim.io.units import Units
 
 # Columns that sweeps of version 1 of the schema call otherwise: there `force` was no
@@ -71,11 +77,10 @@ def sweep_of(path: Path) -> Path | None:
 def as_csv(paths: list[Path]) -> bytes:
     """The rows of Parquet files with the same columns. Raises InputError."""
     import pyarrow
-    from pyarrow import parquet as pq
 
     try:
-        contents = (pyarrow.BufferReader(path.read_bytes()) for path in paths)
-        table = pyarrow.concat_tables([*map(pq.read_table, contents)])
+        parts = [read_parquet(path.read_bytes()) for path in paths]
+        table = pyarrow.concat_tables(parts)
         origin = json.loads((table.schema.metadata or {}).get(b"eqsim", b"{}"))
     except OSError as error:
         why = error.strerror or error

@@ -39,6 +39,7 @@ from eqsim.laws.named import law_of, threshold_parameters
 from eqsim.laws.newborn import LAWS, Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Table, ThresholdLaw
+from eqsim.laws.viscosity import Viscosity
 from eqsim.model.drive import Drive, Output, Programme, Segment, Stage, require_drive
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Disorder, Ensemble, Population
@@ -79,7 +80,7 @@ class RunFile(Listed):
     folder: Path = field(default=Path(), repr=False, compare=False)
     unlisted: ClassVar[tuple[str, ...]] = (
         *("constant", "constant_drive", "headline", "labels"),
-        *("physical", "preferred", "quantities_in", "rows"),
+        *("physical", "preferred", "pulled", "quantities_in", "rows"),
     )
 
     def __getitem__(self, key: str) -> Any:
@@ -148,9 +149,20 @@ class RunFile(Listed):
 
     @property
     def constant(self) -> bool:
-        """True for a drive without programme, file and stage."""
+        """True for a drive at `drive.velocity` over `drive.distance`."""
+        names = "programme", "file", "stage", "stall_force", "force", "force_rate"
+        return all(self.settings["drive"][name] is None for name in (*names, "time"))
+
+    @property
+    def pulled(self) -> bool:
+        """True if a stage, a force or a motor moves the slider."""
         drive = self.settings["drive"]
-        return all(drive[name] is None for name in ("programme", "file", "stage"))
+        names = "stage", "stall_force", "force", "force_rate"
+        forced = any(
+            "force" in part
+            for part in self.given.get("drive", {}).get("programme") or ()
+        )
+        return forced or any(drive[name] is not None for name in names)
 
     @cached_property
     def ensemble(self) -> Ensemble:
@@ -180,6 +192,9 @@ class RunFile(Listed):
             aging = Aging.of_keys(self["aging"], set(self.given.get("aging", ())))
             aging.check(law, disorder)
         require_number("viscosity.eta", eta, **NOT_NEGATIVE)
+        with under("viscosity"):
+            drag = self["viscosity"]
+            viscosity = Viscosity(**{k: v for k, v in drag.items() if k != "eta"})
         _require_law("newborn.law", self.given, (*LAWS, "unstressed"))
         newborn = self._section(Newborn, "newborn")
         with under("newborn"):
@@ -193,6 +208,7 @@ class RunFile(Listed):
                 disorder=disorder,
                 eta=eta,
                 newborn=newborn,
+                viscosity=viscosity,
                 **self["contacts"],
             )
 
@@ -246,17 +262,29 @@ class RunFile(Listed):
         given = self.settings["drive"]
         programme, file, stage = map(given.get, ("programme", "file", "stage"))
         if self["elastic"] is not None:
-            named = {"programme": programme, "file": file, "stage": stage}
-            name = next(name for name, value in named.items() if value is not None)
+            name = next(
+                name
+                for name, value in given.items()
+                if value is not None and name not in ("velocity", "distance", "start")
+            )
             said = "not allowed with [elastic], whose plate moves at drive.velocity"
             raise InputError(f"drive.{name}: {said}")
         if programme is not None and file is not None:
             raise InputError("drive.file: not allowed with drive.programme")
         alone = programme is None and file is None
+        pulls = {k: v for k in ("force", "force_rate") if (v := given[k]) is not None}
+        for name in ("time", *pulls) if not alone else ():
+            if given[name] is not None:
+                said = "not allowed with a programme or file"
+                raise InputError(f"drive.{name} = {given[name]!r}: {said}")
+        for name in ("velocity", "distance") if pulls else ():
+            if given[name] is not None:
+                said = f"not allowed with {min(pulls)}, which needs a time"
+                raise InputError(f"drive.{name} = {given[name]!r}: {said}")
         if given["distance"] is not None and not alone:
             said = "not allowed with a programme or file"
             raise InputError(f"drive.distance = {given['distance']!r}: {said}")
-        if alone and given["velocity"] is None:
+        if alone and not pulls and given["velocity"] is None:
             raise InputError("drive.velocity: is required")
         pulled_by, segments = None, []
         with under("drive"):
@@ -266,15 +294,21 @@ class RunFile(Listed):
             if file is not None:
                 segments = read_drive(path_of("file", self.folder, file))
             elif alone:
-                distance = given["distance"]
-                if distance is None:
+                distance, time = given["distance"], given["time"]
+                if distance is None and time is None and not pulls:
                     distance = 200.0 * self._threshold_law().mean
-                segments = [Segment(given["velocity"], distance)]
+                segments = [Segment(given["velocity"] or 0.0, distance, time, **pulls)]
             for index, section in enumerate(programme or []):
                 with under(f"programme.{index}"):
                     segments.append(_segment(**section))
-            start, velocity = given["start"], given["velocity"]
-            return Programme(tuple(segments), start, velocity, pulled_by)
+            stall = given["stall_force"]
+            return Programme(
+                tuple(segments),
+                given["start"],
+                given["velocity"],
+                pulled_by,
+                math.inf if stall is None else stall,
+            )
 
     def with_changes(self, changes: dict[str, Any]) -> "RunFile":
         """The run file of one point, without [sweep] and [fit].
@@ -372,11 +406,14 @@ def _require_law(key: str, given: dict[str, Any], laws: tuple[str, ...]) -> None
 
 def _segment(velocity: Any, hold: float | None, **more: Any) -> Segment:
     """A segment of a run file. Raises InputError."""
-    if (velocity is None) == (hold is None):
-        said = "either a velocity or a hold, the time for which nothing moves"
+    pulls = [n for n in ("force", "force_rate") if more[n] is not None]
+    if len(pulls[:1]) + (velocity is not None) + (hold is not None) != 1:
+        said = (
+            "either a velocity or a hold, the time for which nothing moves, or a force"
+        )
         raise InputError(f"velocity: a segment has {said}")
     if hold is None:
-        return Segment(velocity, **more)
+        return Segment(velocity or 0.0, **more)
     for name in ("distance", "time"):
         if more[name] is not None:
             said = "not allowed with hold, which is a time"

@@ -23,6 +23,7 @@ from eqsim.laws.delay import Delay
 from eqsim.laws.named import THRESHOLDS
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
+from eqsim.laws.viscosity import Viscosity
 from eqsim.model.drive import Drive, Output, Segment, Stage
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble, Population
@@ -35,7 +36,7 @@ _DATACLASSES: dict[str, Any] = {
     "newborn": Newborn,
     "aging": Aging,
     "delay": Delay,
-    "viscosity": Ensemble,
+    "viscosity": Viscosity,
     "drive": Drive,
     "drive.programme": Segment,
     "drive.stage": Stage,
@@ -79,7 +80,12 @@ _OTHERS = {
     "thresholds.column": _TEXT,
     "thresholds.quantity": Key(str, Literal["stretch", "force"] | None, None),
     "thermal.temperature": _NUMBER,  # kelvin, instead of kT
+    "viscosity.eta": Key(float, float, Ensemble.eta),
     "drive.velocity": _NUMBER,
+    "drive.force": _NUMBER,
+    "drive.force_rate": _NUMBER,
+    "drive.time": _NUMBER,
+    "drive.stall_force": _NUMBER,
     "drive.file": _TEXT,
     "drive.programme.velocity": _NUMBER,
     "drive.programme.hold": _NUMBER,  # the time of a segment that does not move

@@ -108,14 +108,24 @@ def as_parquet(table: Any, checksums: bool = True) -> bytes:
     return buffer.getvalue()
 
 
-def from_parquet(content: bytes) -> Any:
-    """The pyarrow table of a Parquet file with checksums; None if it is damaged."""
+def read_parquet(content: bytes, checksums: bool = False) -> Any:
+    """The pyarrow table of a Parquet file, whose checksums are looked at if asked for.
+    Raises OSError or pyarrow.ArrowException.
+
+    No thread is started: pyarrow does not end its own, and a process that ends while
+    they start is aborted. So `to_pandas` must have `use_threads=False`, too."""
     import pyarrow
     from pyarrow import parquet as pq
 
+    reader = pyarrow.BufferReader(content)
+    file = pq.ParquetFile(reader, page_checksum_verification=checksums)
+    return file.read(use_threads=False)
+
+
+def from_parquet(content: bytes) -> Any:
+    """The pyarrow table of a Parquet file with checksums; None if it is damaged."""
     try:
-        reader = pyarrow.BufferReader(content)
-        return pq.read_table(reader, page_checksum_verification=True)
+        return read_parquet(content, checksums=True)
     except (OSError, ValueError, MemoryError):  # pyarrow's own errors are among these
         return None
 

@@ -2,20 +2,46 @@
 Peyrard, 2011).
 
 `DELAYS` lists the laws. Each is a NamedTuple of the mean, as a displacement v<tau>,
-with NumPy's formulas as methods.
+and of a parameter if it has one, with NumPy's formulas as methods.
 """
 
+import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import special
 
-from eqsim.errors import NOT_NEGATIVE, require_choice, require_number
+from eqsim.errors import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    InputError,
+    require_choice,
+    require_number,
+)
 from eqsim.laws.law import Law
-from eqsim.numerics.compiled import routine
-from eqsim.numerics.tables import Array
+from eqsim.numerics.compiled import by_law, routine
+from eqsim.numerics.roots import bisected
+from eqsim.numerics.tables import Array, look_up, octave_edges, octave_table
 from eqsim.numerics.vector_math import log
+
+# e = -ln(1 - P) of tables of quantiles: uniforms of 63 bits reach e = 44
+_OCTAVES = (-64, 6)
+# ln e of the knots of a law: neighbours are a sixtieth of its width apart at the median
+_LOG_RANKS = np.linspace(-40.0, 4.2, 2400)
+# ln of the shortest and of the longest residual delay over the mean
+_LEAST_LOG_REST = -60.0
+_MOST_LOG_REST = 60.0
+# of a bracket of 120, to rounding
+_HALVINGS = 60
+# nodes of the trapezoidal rule for a normal variable
+_NODES = np.linspace(-10.0, 10.0, 201)
+# |p| times the mean delay below which 1 - E[exp(-p delay)] would lose digits
+_NEAR_0 = 1e-3
+# activation over kT beyond which a delay of any unit has no end: exp(230) = 1e100
+_MOST_ACTIVATION = 230.0
 
 
 class _Mean(NamedTuple):
@@ -39,13 +65,20 @@ class Fixed(_Mean, Law):
         return np.clip(np.asarray(t) / self.mean, 0.0, 1.0)
 
     def rest(self, x: Array) -> Array:
-        """E[(delay - x)+]."""
-        return np.maximum(self.mean - x, 0.0)
+        """E[(delay - x)+], x ascending, shape (n,); of delays without end that of one
+        beyond all x, whose differences are the same."""
+        mean = self.mean if self.mean < math.inf else 2.0 * x[-1]
+        return np.maximum(mean - x, 0.0)
 
     def waiting(self, h: float, cells: int) -> Array:
         """Chance that a contact that breaks anywhere in a cell of width `h` is still
         detached at the end of that cell, and of the next ones, shape (cells,)."""
         return np.clip(self.mean / h - np.arange(cells), 0.0, 1.0)
+
+    @property
+    def variance(self) -> float:
+        """Var(delay)."""
+        return 0.0
 
     def coherence(self, k: Array) -> Array:
         """|E[exp(i k delay)]|."""
@@ -85,6 +118,10 @@ class Exponential(_Mean, Law):
         first = -math.expm1(-h / self.mean) * self.mean / h
         return np.asarray(first * np.exp(-h / self.mean * np.arange(cells)))
 
+    @property
+    def variance(self) -> float:
+        return self.mean**2
+
     def coherence(self, k: Array) -> Array:
         return np.asarray(1.0 / np.hypot(1.0, k * self.mean))
 
@@ -98,41 +135,257 @@ class Exponential(_Mean, Law):
         return Waits(self.mean, self.mean)
 
 
-DELAYS: dict[str, type[Fixed] | type[Exponential]] = {
+class _Shaped(NamedTuple):
+    mean: float
+    shape: float
+
+
+class _Drawn:
+    """Base of laws that kernels draw from tables. Each gives functions of u = delay/mean,
+    arrays: the `density`; P(u' > u), `above`; its integral from 0 to u, `begun`, which
+    is P(rest <= u) in the stationary state, and the rest of it, `still`; the u that a
+    share exp(-e) exceeds, `exceeded`; and `forgotten`. Other methods are those of
+    `Fixed`."""
+
+    __slots__ = ()
+    mean: float
+    shape: float
+    density: Callable[[Array], Array]
+    above: Callable[[Array], Array]
+    begun: Callable[[Array], Array]
+    still: Callable[[Array], Array]
+    exceeded: Callable[[Array], Array]
+    forgotten: Callable[[Array], Array]
+
+    def residual_exceeded(self, e: Array) -> Array:
+        """The u that a share exp(-e) of residual delays exceeds."""
+
+        def below(log_u: Array) -> Array:
+            u = np.exp(log_u)
+            begun = np.minimum(self.begun(u), 0.5)
+            with np.errstate(divide="ignore"):  # nothing is left
+                rank = np.where(begun < 0.5, -np.log1p(-begun), -np.log(self.still(u)))
+            return rank < e
+
+        ends = np.full((2, e.size), ((_LEAST_LOG_REST,), (_MOST_LOG_REST,)))
+        return np.asarray(np.exp(bisected(below, ends[0], ends[1], _HALVINGS)[0]))
+
+    def cdf(self, t: Any) -> Array:
+        return np.asarray(1.0 - self.above(np.maximum(t, 0.0) / self.mean))
+
+    def residual_cdf(self, t: Any) -> Array:
+        return self.begun(np.maximum(t, 0.0) / self.mean)
+
+    def rest(self, x: Array) -> Array:
+        return self.mean * self.still(x / self.mean)
+
+    def waiting(self, h: float, cells: int) -> Array:
+        edges = h / self.mean * np.arange(cells + 1)
+        return np.asarray(np.diff(self.begun(edges)) * (self.mean / h))
+
+    def coherence(self, k: Array) -> Array:
+        return np.abs(1.0 - self.forgotten(1j * k))
+
+    def sample(self) -> Array:
+        return self.mean * self.exceeded(-np.log((np.arange(16) + 0.5) / 16))
+
+    def for_kernels(self) -> "DrawnWaits":
+        return DrawnWaits(self.mean, self.mean, *_tables(type(self), self.shape))  # type: ignore[arg-type]
+
+
+class GammaDelay(_Drawn, _Shaped, Law):
+    """Delays are sums of `shape` exponential steps, if that is a whole number: their
+    density is that of the gamma law."""
+
+    __slots__ = ()
+
+    @property
+    def variance(self) -> float:
+        return self.mean**2 / self.shape
+
+    def density(self, u: Array) -> Array:
+        k = self.shape
+        with np.errstate(divide="ignore", invalid="ignore"):
+            log = k * np.log(k) + (k - 1.0) * np.log(u) - k * u - special.gammaln(k)
+        return np.asarray(np.exp(log))
+
+    def above(self, u: Array) -> Array:
+        return np.asarray(special.gammaincc(self.shape, self.shape * u))
+
+    def begun(self, u: Array) -> Array:
+        k = self.shape
+        return np.asarray(special.gammainc(k + 1.0, k * u) + u * self.above(u))
+
+    def still(self, u: Array) -> Array:
+        k = self.shape
+        left = special.gammaincc(k + 1.0, k * u) - u * self.above(u)
+        return np.maximum(left, 0.0)
+
+    def exceeded(self, e: Array) -> Array:
+        k = self.shape
+        low = special.gammaincinv(k, -np.expm1(-e))
+        return np.where(e < 0.7, low, special.gammainccinv(k, np.exp(-e))) / k
+
+    def forgotten(self, p: Array) -> Array:
+        k = self.shape
+        return np.asarray(-np.expm1(-k * np.log1p(p * (self.mean / k))))
+
+
+class LognormalDelay(_Drawn, _Shaped, Law):
+    """The logarithm of a delay is normal, with standard deviation sigma, here
+    `shape`."""
+
+    __slots__ = ()
+
+    @property
+    def variance(self) -> float:
+        return self.mean**2 * math.expm1(self.shape**2)
+
+    def _z(self, u: Array) -> Array:
+        """The normal variable of a delay."""
+        with np.errstate(divide="ignore"):  # u = 0
+            return np.asarray(np.log(u) / self.shape + 0.5 * self.shape)
+
+    def density(self, u: Array) -> Array:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            size = u * (self.shape * math.sqrt(2.0 * math.pi))
+            return np.asarray(np.exp(-0.5 * self._z(u) ** 2) / size)
+
+    def above(self, u: Array) -> Array:
+        return np.asarray(special.ndtr(-self._z(u)))
+
+    def begun(self, u: Array) -> Array:
+        z = self._z(u)
+        return np.asarray(special.ndtr(z - self.shape) + u * special.ndtr(-z))
+
+    def still(self, u: Array) -> Array:
+        z = self._z(u)
+        left = special.ndtr(self.shape - z) - u * special.ndtr(-z)
+        return np.maximum(left, 0.0)
+
+    def exceeded(self, e: Array) -> Array:
+        low = special.ndtri(-np.expm1(-e))
+        z = np.where(e < 0.7, low, -special.ndtri_exp(-e))
+        return np.asarray(np.exp(self.shape * (z - 0.5 * self.shape)))
+
+    def forgotten(self, p: Array) -> Array:
+        """By the trapezoidal rule, along a line of complex ln(delay) through the saddle
+        point, which is Lambert's function W (Asmussen, Jensen and Rojas-Nandayapa,
+        Methodol. Comput. Appl. Probab. 18, 441, 2016); near p = 0 along the real
+        line."""
+        sigma, u = self.shape, np.asarray(p * self.mean, complex)
+        weights = np.exp(-0.5 * _NODES**2)
+        weights /= weights.sum()
+        w = special.lambertw(u * math.exp(-0.5 * sigma**2) * sigma**2)
+        near, far = np.zeros_like(u), np.zeros_like(u)
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            for s, weight in zip(_NODES, weights, strict=True):
+                delay = math.exp(sigma * (s - 0.5 * sigma))
+                near -= weight * np.expm1(-u * delay)
+                steep = w / sigma**2 * (math.exp(sigma * s) - sigma * s)
+                far += weight * np.exp(-steep - 0.5 * (w / sigma) ** 2)
+        return np.where(np.abs(u) < _NEAR_0, near, 1.0 - far)
+
+
+DelayLaw = Fixed | Exponential | GammaDelay | LognormalDelay
+DELAYS: dict[str, type[DelayLaw]] = {
     "fixed": Fixed,
     "exponential": Exponential,
+    "gamma": GammaDelay,
+    "lognormal": LognormalDelay,
 }
+# The parameter of a law beside its mean, with its limits.
+PARAMETERS = {"gamma": ("shape", 0.1, 1000.0), "lognormal": ("sigma", 0.03, 2.0)}
 
 
 @dataclass(frozen=True)
 class Delay:
     """Time for which a contact stays detached after it has broken.
 
-    Raises InputError for a negative time or an unknown law.
+    Raises InputError for a value out of range, an unknown law, and a parameter that the
+    law lacks or does not have. With an infinite time a contact never forms again, as in
+    a fibre bundle.
+
+    The mean at a temperature and a velocity is
+
+        tau = time exp(activation/kT) (v/velocity)^velocity_exponent
+
+    (Arrhenius; the power is a definition). Laws of delays change transients, but no
+    steady average.
 
     Parameters
     ----------
     time : float
-        Mean delay tau (time).
+        Mean delay tau (time), or math.inf.
     law : str
         One of `DELAYS`.
+    shape : float, optional
+        Of the gamma law, from 0.1 to 1000: the mean over the standard deviation,
+        squared.
+    sigma : float, optional
+        Of the lognormal law, from 0.03 to 2: standard deviation of ln(delay).
+    activation : float
+        Barrier to the formation of a contact (energy). At kT = 0 none forms.
+    velocity_exponent : float
+        p of tau ~ v^p, from -10 to 10. Other than 0 only at one speed, without holds.
+    velocity : float
+        Velocity (length/time) at which tau is that without an exponent.
 
     Examples
     --------
     >>> print(f"{Delay(2.0, 'exponential').cdf(2.0):.3f}")  # P(delay <= 2)
     0.632
+    >>> print(f"{Delay(2.0, 'gamma', shape=4.0).cdf(2.0):.3f}")
+    0.567
     """
 
     time: float = 0.0
     law: str = "fixed"
+    shape: float | None = None
+    sigma: float | None = None
+    activation: float = 0.0
+    velocity_exponent: float = 0.0
+    velocity: float = 1.0
 
     def __post_init__(self) -> None:
-        require_number("time", self.time, **NOT_NEGATIVE)
+        if self.time != math.inf:
+            require_number("time", self.time, **NOT_NEGATIVE)
         require_choice("law", self.law, tuple(DELAYS))
+        require_number("activation", self.activation, **NOT_NEGATIVE)
+        require_number("velocity_exponent", self.velocity_exponent, least=-10, most=10)
+        require_number("velocity", self.velocity, **POSITIVE)
+        for law, (name, least, most) in PARAMETERS.items():
+            value = getattr(self, name)
+            if law != self.law and value is not None:
+                raise InputError(f'{name}: not allowed with law = "{self.law}"')
+            if law == self.law and value is None:
+                raise InputError(f'{name}: is required with law = "{law}"')
+            if value is not None:
+                require_number(name, value, least=least, most=most)
 
-    def reduced(self, velocity: float = 1.0, unit: float = 1.0) -> Fixed | Exponential:
-        """The law of v tau in units of `unit` (length)."""
-        return DELAYS[self.law](velocity * self.time / unit)
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        """The parameter of the law beside its mean, if it has one."""
+        name = PARAMETERS.get(self.law, ("",))[0]
+        return (getattr(self, name),) if name else ()
+
+    def at(self, kT: float, velocity: float) -> "Delay":
+        """The delay at a temperature and a velocity, which depends on neither."""
+        time = self.time
+        if self.activation and time:
+            endless = self.activation > _MOST_ACTIVATION * kT
+            time *= math.inf if endless else math.exp(self.activation / kT)
+        if self.velocity_exponent and time < math.inf:
+            logs = math.log(velocity) - math.log(self.velocity)
+            time *= math.exp(min(self.velocity_exponent * logs, _MOST_ACTIVATION))
+        return Delay(time, self.law, self.shape, self.sigma)
+
+    def reduced(self, velocity: float = 1.0, unit: float = 1.0) -> DelayLaw:
+        """The law of v tau in units of `unit` (length), of a delay that depends on
+        neither temperature nor velocity."""
+        if self.time in (0.0, math.inf):
+            return Fixed(self.time)  # all laws are alike
+        return DELAYS[self.law](velocity * self.time / unit, *self.parameters)
 
     def cdf(self, t: Any) -> Array:
         """P(delay <= t), t a time."""
@@ -145,7 +398,7 @@ class Delay:
 
 
 class Waits(NamedTuple):
-    """A law of delays for kernels, one type for both: the part `random` of the `mean`
+    """A fixed or exponential law of delays for kernels: the part `random` of the `mean`
     is exponentially distributed, the rest fixed."""
 
     mean: float
@@ -157,14 +410,76 @@ class Waits(NamedTuple):
         return Exponential(self.mean) if self.random else Fixed(self.mean)
 
 
-@routine(inline=True)
-def delay_draw(law: Waits, u: float) -> float:
+class DrawnWaits(NamedTuple):
+    """A law of delays with a density for kernels: its `mean`, all of which is `random`;
+    octave tables of the quantile functions of delays and of residual delays, over the
+    mean, in e = -ln(1 - P); and at `knots`, delays over the mean from 0 on, the shares
+    of residual delays that are shorter, and of delays that are longer; and the number
+    of the law in `DELAYS` with its parameter."""
+
+    mean: float
+    random: float
+    quantile: Array
+    residual: Array
+    knots: Array
+    begun: Array
+    above: Array
+    number: int
+    shape: float
+
+    @property
+    def law(self) -> GammaDelay | LognormalDelay:
+        """The law itself."""
+        made: Any = list(DELAYS.values())[self.number]
+        return made(self.mean, self.shape)
+
+
+@functools.lru_cache(maxsize=16)  # takes 0.1 s
+def _tables(kind: Any, shape: float) -> tuple[Any, ...]:
+    """The fields of `DrawnWaits` after `random`."""
+    law, e = kind(1.0, shape), octave_edges(*_OCTAVES)
+    u, rest = law.exceeded(e), law.residual_exceeded(e)
+    with np.errstate(all="ignore"):
+        slopes = np.exp(-e) / law.density(u), law.still(rest) / law.above(rest)
+    pairs = zip((u, rest), slopes, strict=True)
+    tables = (octave_table(_OCTAVES[0], y, np.nan_to_num(slope)) for y, slope in pairs)
+    knots = np.unique(np.append(0.0, law.exceeded(np.exp(_LOG_RANKS))))
+    at_knots = knots, law.begun(knots), law.above(knots)
+    return *tables, *at_knots, list(DELAYS.values()).index(kind), shape
+
+
+@by_law
+def delay_draw(law: Any, u: float) -> float:
     """A delay from a uniform u in (0, 1)."""
     return law.mean - law.random - law.random * log(u)
 
 
+@delay_draw.register(DrawnWaits)
+def _delay_from_table(law: DrawnWaits, u: float) -> float:
+    return law.mean * look_up(law.quantile, -log(u))
+
+
 @routine(inline=True)
-def residual_delay_draw(law: Waits, u: float) -> float:
+def begun_at(law: DrawnWaits, u: float, i: int) -> tuple[float, int]:
+    """`begun` at u >= 0, and the knot below; `i` is one below that."""
+    knots, y, slope = law.knots, law.begun, law.above
+    while i + 2 < knots.size and knots[i + 1] < u:
+        i += 1
+    width = knots[i + 1] - knots[i]
+    t = min((u - knots[i]) / width, 1.0)
+    rise = y[i + 1] - y[i]
+    left, right = slope[i] * width, slope[i + 1] * width
+    bend = 3.0 * rise - 2.0 * left - right + t * (left + right - 2.0 * rise)
+    return y[i] + t * (left + t * bend), i
+
+
+@by_law
+def residual_delay_draw(law: Any, u: float) -> float:
     """The rest of a delay in the stationary state, all of it random or none, from a
     uniform u in (0, 1)."""
     return (law.mean - law.random) * u - law.random * math.log(u)
+
+
+@residual_delay_draw.register(DrawnWaits)
+def _residual_from_table(law: DrawnWaits, u: float) -> float:
+    return law.mean * look_up(law.residual, -log(u))

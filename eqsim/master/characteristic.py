@@ -31,7 +31,7 @@ from scipy import optimize
 
 from eqsim.errors import InputError
 from eqsim.estimate import Estimate
-from eqsim.laws.delay import Exponential, Fixed
+from eqsim.laws.delay import DelayLaw, Fixed
 from eqsim.master.programme import cells_of_law
 from eqsim.master.quenched import different_steps, kappa_of
 from eqsim.model.reduced import Pull, Reduced
@@ -109,7 +109,7 @@ class Loop(NamedTuple):
     xi: Array
     share: Array
     kappa: Array
-    delay: Fixed | Exponential
+    delay: DelayLaw
     drag: float
     beta: float
     damping: float
@@ -186,7 +186,7 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
         return Border(math.inf, math.inf)
     mean = float(coarse.share @ coarse.xi)
     apart = max(float(coarse.share @ coarse.xi**2) - mean**2, 0.0)
-    apart += 0.0 if isinstance(loop.delay, Fixed) else loop.delay.mean**2
+    apart += loop.delay.variance
     # contacts in step lose 2 (pi width)^2 of a phase in a cycle, width being the
     # scatter of cycles over their length
     step = _PHASE * min(1.0, 20.0 * apart / loop.cycle**2 + 0.02) / loop.cycle
@@ -244,8 +244,8 @@ def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
     mean = float(loop.share @ loop.xi)
     stiff = float(loop.share @ loop.kappa)
     left = -_FASTEST_DECAY / loop.cycle
-    if loop.delay.mean and not isinstance(loop.delay, Fixed):
-        left = max(left, -0.9 / loop.delay.mean)
+    if loop.delay.variance:  # E[exp(-p delay)] of the gamma law has a pole
+        left = max(left, -0.9 * loop.delay.mean / loop.delay.variance)
     scales = [loop.cycle, mean, loop.delay.mean, stiffness / (loop.beta * stiff)]
     scales += [loop.damping / stiffness, math.sqrt(loop.mass / stiffness)]
     scales = [scale for scale in scales if scale > 0.0]

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eqsim.laws.aging.base import growth
-from eqsim.laws.delay import Waits
+from eqsim.laws.delay import DrawnWaits, begun_at
 from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.tables import Array, search
 from eqsim.numerics.vector_math import exp, exp_less_one
@@ -52,7 +52,7 @@ class PooledContacts(NamedTuple):
 
     tables: LawTables
     growth: Growth
-    delay: Waits
+    delay: Any  # `Waits` or `DrawnWaits`
     nodes: Array
 
 
@@ -381,9 +381,48 @@ def _broken_by(
     return breaks[i] + (breaks[i + 1] - breaks[i]) * share
 
 
+@by_law
+def _due(
+    delay: Any, path: CohortPath, history: History, m: int, rate: float
+) -> tuple[float, float]:
+    """Births in step m of contacts detached before it, by the law of delays; and the
+    time which, times the breaks per unit time, gives those of contacts that break in
+    it."""
+    tau, t0, t1, breaks = delay.mean, path.t[m - 1], path.t[m], history.breaks
+    dt, due, later = t1 - t0, 0.0, t1 - t0
+    if delay.random > 0.0:
+        ending = math.expm1(-dt / tau)
+        due, later = -(1.0 - history.pinned[m - 1]) * ending, dt + tau * ending
+    elif tau == math.inf:
+        later = 0.0
+    elif tau > 0.0:
+        due = _broken_by(path, breaks, m - 1, min(t1 - tau, t0), rate)
+        due -= _broken_by(path, breaks, m - 1, t0 - tau, rate)
+        later = max(dt - tau, 0.0)
+    return due, later
+
+
+@_due.register(DrawnWaits)
+def _due_by_law(
+    delay: DrawnWaits, path: CohortPath, history: History, m: int, rate: float
+) -> tuple[float, float]:
+    # births by t, of breaks at a constant rate g from a to b, increase at the rate g
+    # (P(t - a) - P(t - b)), with the integral tau I of P = 1 - `above` (derived)
+    tau, t, breaks = delay.mean, path.t, history.breaks
+    newer, i = begun_at(delay, (t[m] - t[m - 1]) / tau, 0)
+    later, due, k = t[m] - t[m - 1] - tau * newer, 0.0, 0
+    for j in range(m - 1, 0, -1):
+        older, i = begun_at(delay, (t[m] - t[j - 1]) / tau, i)
+        past, k = begun_at(delay, (t[m - 1] - t[j - 1]) / tau, k)
+        older -= past
+        due += (breaks[j] - breaks[j - 1]) / (t[j] - t[j - 1]) * (newer - older)
+        newer = older
+    return tau * (due + rate * newer), later
+
+
 @routine
 def _births_in(
-    delay: Waits,
+    delay: Any,
     path: CohortPath,
     history: History,
     m: int,
@@ -393,17 +432,8 @@ def _births_in(
 ) -> float:
     """Note the breaks of step m and return its births. At its end, `pinned` of the
     contacts pinned before are still so, and the share `newborn` of the births is."""
-    tau, t0, t1, breaks = delay.mean, path.t[m - 1], path.t[m], history.breaks
-    # births are those `due` of contacts detached before, and `later` times the breaks
-    # per unit time, of contacts that break in the step
-    dt, due, later = t1 - t0, 0.0, t1 - t0
-    if delay.random > 0.0:
-        ending = math.expm1(-dt / tau)
-        due, later = -(1.0 - history.pinned[m - 1]) * ending, dt + tau * ending
-    elif tau > 0.0:
-        due = _broken_by(path, breaks, m - 1, min(t1 - tau, t0), rate)
-        due -= _broken_by(path, breaks, m - 1, t0 - tau, rate)
-        later = max(dt - tau, 0.0)
+    dt, breaks = path.t[m] - path.t[m - 1], history.breaks
+    due, later = _due(delay, path, history, m, rate)
     broken = 1.0 - newborn
     per_time = (history.pinned[m - 1] - pinned + due * broken) / (dt - later * broken)
     breaks[m] = breaks[m - 1] + per_time * dt

@@ -21,7 +21,6 @@ from scipy import special
 
 from eqsim.laws.aging.base import growth
 from eqsim.laws.barrier.base import height, prefactor
-from eqsim.laws.delay import Waits
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.master.cohorts import (
     Cohort,
@@ -85,7 +84,7 @@ class Fronts(NamedTuple):
     growth: Growth
     barrier: Any
     springs: Springs
-    delay: Waits
+    delay: Any  # `Waits` or `DrawnWaits`
     table: Array
 
 

@@ -96,7 +96,7 @@ def mode_of(
     most = _OTHER_KICKS + 2
     progress(0, most)
     exact, typical = reference(ensemble, Drive(velocity)), ensemble.thresholds.mean
-    cycle = known(exact.break_stretch) / velocity + ensemble.delay.time
+    cycle = known(exact.break_stretch) / velocity + ensemble.delay_time(velocity)
     longest = max(cycle, 2.0 * math.pi * math.sqrt(stage.mass / stage.stiffness))
     kick, time = _KICK * typical, _CYCLES_AFTER * longest
     balance = known(exact.friction) + stage.damping * velocity

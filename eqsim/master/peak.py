@@ -7,6 +7,7 @@ within half an rms threshold after it. It is not the largest force of a run, whi
 be a later maximum of contacts in step, by rounding or by chance.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -97,6 +98,9 @@ def first_peak(ensemble: Ensemble, velocity: float) -> Peak:
     else:
         place, height = vertex(X, force, top)
         beside, missed = tip(ensemble, X, force, top)
+        if not law.steps.size:  # error of a parabola (of interpolation; textbook)
+            bent = np.abs(np.diff(force[max(top - 2, 0) : top + 3], 3)).max()
+            missed = float(bent) / (9.0 * math.sqrt(3.0))
     # next to a fall the error of the mean is all of its height; that of the peak is the
     # error before the fall, and `missed`
     before = exact.force_error[max(top - _BEFORE_FALL, 0) : top + 1]

@@ -22,7 +22,7 @@ extrapolated as of second order, and its error.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -30,6 +30,7 @@ from scipy import integrate, special
 from scipy.interpolate import Akima1DInterpolator
 
 from eqsim.errors import InputError
+from eqsim.estimate import Estimate
 from eqsim.laws.aging import Unaged
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.delay import Fixed
@@ -170,10 +171,9 @@ def _tables(contacts: Reduced, cells: int) -> LawTables:
         y.sort()
         before = np.diff(y, append=math.inf) == 0
         index = np.searchsorted(xi, y, side="right") - before
-        above, rate = (
-            _totals_from(share * stiff**_STIFFNESS_POWERS)[:, index],
-            np.zeros(y.size),
-        )
+        # in the order in which other tables are stored: kernels for another are others
+        above = _totals_from(share * stiff**_STIFFNESS_POWERS).take(index, axis=1)
+        rate = np.zeros(y.size)
         barrier, contributing = contacts.barrier, xi.size if contacts.annealed else 0
         for i in range(contributing):
             last = np.searchsorted(y, xi[i]) + 1
@@ -283,7 +283,9 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
     time = sum(segment.duration for segment in programme.segments)
     velocity = np.array([segment.velocity for segment in programme.segments])
     before = (programme.start == "stationary" and programme.velocity) or 0.0
-    legs(ensemble, programme)  # raises for numbers out of range
+    speed = legs(ensemble, programme)[0].pace
+    delay = ensemble.delay.at(ensemble.thermal.kT, speed)
+    ensemble = replace(ensemble, delay=delay)
     ends = np.cumsum([segment.duration for segment in programme.segments]) / time
     return reduced(ensemble, unit / time), Course(
         ends, velocity * (time / unit), before * (time / unit)
@@ -387,7 +389,7 @@ def solve(contacts: Reduced, course: Course) -> tuple[Array, Array, list[History
         course.before == 0.0,
         bool(thermal or delay.mean) or changes,
     )
-    tau = delay.mean if fixed else 0.0
+    tau = delay.mean if fixed and delay.mean < math.inf else 0.0
     t, kinks = _edges_of_steps(course, numerics.width, quickest, tau, sharp)
 
     def edges_of(fine: int) -> Array:
@@ -426,8 +428,11 @@ class Transient(Result):
         estimate; None if not asked for, if contacts stay in step for longer than the
         grids resolve, or if the stationary variance is infinite.
     stage, X_error : ndarray or None
-        Of a slider that a stage pulls, in mean field: displacement of the stage's end
-        of the spring, and the error estimate of X, which is found with it (length).
+        Of a slider that is pulled, in mean field: displacement of the stage's end of
+        the spring, and the error estimate of X (length), which is found with it and is
+        not a number once a slider under a force has let go.
+    lifetime : Estimate or None
+        When it lets go (time), if it does.
     """
 
     drawn: ClassVar[Drawn] = Drawn(
@@ -444,6 +449,7 @@ class Transient(Result):
     force_variance_error: Array | None = None
     stage: Array | None = None
     X_error: Array | None = None
+    lifetime: Estimate | None = None
 
 
 def with_drag(
@@ -509,7 +515,8 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
             breaks[begin:end] = np.interp(inside, 0.5 * (x[1:] + x[:-1]), rate)
         first, begin = last, end
     missed = np.array([np.interp(t, edges, error) for error in errors])
-    drag = drag_of(ensemble, unit / time) * course.velocity[grid.segment]
+    moving = [drag_of(ensemble, g.pace) * g.sign for g in legs(ensemble, programme)]
+    drag = np.array(moving)[grid.segment]
     return with_drag(grid, values, missed, drag, 0.0, unit, breaks / time)
 
 

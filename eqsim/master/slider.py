@@ -1,14 +1,16 @@
-"""Mean field of a slider that a stage pulls: the limit of infinitely many contacts.
+"""Mean field of a slider that a stage, a force or a motor pulls: the limit of infinitely
+many contacts.
 
 The force F of the contacts follows from X so far by the renewal equation in two times
 (`master.programme`), and with Y, the displacement of the stage, X obeys
 
-    m X'' + eta_s X' = kappa_s (Y - X) - F - eta_l X' (1 - pinned),
+    m X'' + eta_s X' = kappa_s (Y - X) + f(t) - F - eta_l X' (1 - pinned),
 
-all per N k. In a step F changes by about (A + rho) dX + r dt: A is the stiffness of all
-pinned contacts, and rho (without heat, per dX) or r (with heat, per dt) is the change
-by breaks and births in the last step. X is then found by an implicit Runge-Kutta method
-(the engine has closed forms). Steps are so short that dX and the errors of this
+all per N k. A motor that moves at u (1 - F/s) is a force s beside a damping s/u; behind
+a spring it moves Y. In a step F changes by about (A + rho) dX + r dt: A is the
+stiffness of all pinned contacts, and rho (without heat, per dX) or r (with heat, per
+dt) is the change by breaks and births in the last step. X is then found by an implicit
+Runge-Kutta method (the engine has closed forms). Steps are so short that dX and the errors of this
 estimate, in F and in the pinned fraction, are small. Two accuracies, the second with
 steps about half as long, give the result and its error; where they take few steps there
 is a third.
@@ -21,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError
+from eqsim.estimate import Estimate
 from eqsim.master.cohorts import (
     NO_CHOICES,
     Choices,
@@ -43,7 +46,7 @@ from eqsim.master.programme import (
 )
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import drag_of
+from eqsim.model.reduced import Pull, drag_of, pull_of
 from eqsim.numerics.compiled import kernel, routine
 from eqsim.numerics.quadrature import largest_nearby
 from eqsim.numerics.tables import Array
@@ -59,6 +62,14 @@ _FORCE_TOLERANCE = 1e-4
 _RATE_TOLERANCE = 0.05
 # Most trials in which r is found.
 _TRIALS = 8
+# Pinned share below which a slider under a force has let go. Of heavy tails some hold
+# far beyond all others.
+_LET_GO = 1e-6
+# Shortest step over the longest in which F may change by more than it should because
+# cohorts are joined.
+_ROUGH = 0.1
+# Damping that stands for a motor without a velocity.
+_STANDS = 1e100
 # Share of the largest displacement, in which without heat all contacts may break.
 _ALL_AT_ONCE = 1e-4
 # Share of the largest displacement, in which equal thresholds may break that change F
@@ -99,7 +110,8 @@ class Spring(NamedTuple):
     """Stage and slider, with time in units of the whole programme. `drag` is the
     damping per detached share. At first the spring balances all other forces if
     `in_balance`, and else has the `stretch`; the slider has the `velocity`. `heat`: it
-    breaks contacts; `discrete`: equal thresholds may break at once."""
+    breaks contacts; `discrete`: equal thresholds may break at once. `stall`: force at
+    which the motor stops that moves the stage."""
 
     stiffness: float
     damping: float
@@ -110,16 +122,30 @@ class Spring(NamedTuple):
     velocity: float
     heat: bool
     discrete: bool
+    stall: float = math.inf
+
+
+class Way(NamedTuple):
+    """Marks at which steps end, and up to each of these the speed of the stage, the
+    force at the mark and its change per time, and a motor's damping of the slider;
+    arrays (marks,)."""
+
+    marks: Array
+    speeds: Array
+    forces: Array
+    rates: Array
+    dampings: Array
 
 
 class Slide(NamedTuple):
     """Means at the edges of steps, shape (6, edges), the rows of `Solution` without X;
-    the number of edges; and whether they reach the last mark. They do not where steps
-    are too many, or where given choices do not fit."""
+    the number of edges; and whether they reach the last mark, or the slider has let go.
+    They do not where steps are too many, or where given choices do not fit."""
 
     means: Array
     edges: int
     complete: bool
+    lost: bool
 
 
 @routine
@@ -165,19 +191,59 @@ def displaced(
     return X, V if mass > 0.0 else X / dt
 
 
+class Balance(NamedTuple):
+    """Slider at the beginning of a step: force of the contacts, what it lacks to be in
+    balance, damping, stiffness of contacts and breaks, and velocity; and the change of
+    F by heat per time in the step."""
+
+    force: float
+    net: float
+    damping: float
+    elastic: float
+    V: float
+    heat: float
+
+
+@routine
+def driven(
+    spring: Spring, now: Balance, speed: float, rate: float, dt: float
+) -> tuple[float, float]:
+    """Displacement and velocity after dt of a slider whose stage, or its motor without
+    a load, moves at `speed` and whose force changes by `rate` per time. Behind a motor
+    with c = s/|u|
+
+        c Y' = sign(u) s - kappa (Y - X),    D X' = kappa (Y - X) - F.
+
+    Without Y this is the equation of a mass c D/kappa (derived), and without D of a
+    damping alone; then X first jumps into balance."""
+    gain, held = spring.stiffness * speed + rate - now.heat, now.elastic
+    if spring.stall == math.inf or speed == 0.0:
+        held += spring.stiffness
+        return displaced(spring.mass, now.damping, held, now.net, gain, now.V, dt)
+    c, jump, V = spring.stall / abs(speed), 0.0, 0.0
+    if now.damping > 0.0:
+        V = now.net / now.damping
+    else:
+        jump = now.net / (spring.stiffness + held)
+    c_held = c / spring.stiffness
+    net = math.copysign(spring.stall, speed) - now.force - held * jump
+    net -= c_held * now.heat
+    damping = c + c_held * held + now.damping
+    if damping <= 0.0:
+        return math.inf, math.inf
+    dX, V = displaced(c_held * now.damping, damping, held, net, -now.heat, V, dt)
+    return jump + dX, V
+
+
 @kernel
 def pull(
-    contacts: Any,
-    path: CohortPath,
-    spring: Spring,
-    marks: Array,
-    speeds: Array,
-    tolerance: float,
+    contacts: Any, path: CohortPath, spring: Spring, way: Way, tolerance: float
 ) -> Slide:
     """Solve for the motion of the slider, and fill `path` from its first edge on. Steps
-    end at `marks` (marks,), up to each of which the stage moves at `speeds`, and miss F
-    by about `tolerance`; given choices have the steps of `path.t`."""
+    end at the marks of `way` and miss F by about `tolerance`; given choices have the
+    steps of `path.t`. The motion ends where a slider under a force lets go."""
     t, X, choices, given = path.t, path.X, path.choices, path.choices.given
+    marks, lost = way.marks, False
     # six arrays instead of one take ten times as long, longer than a short solve
     means = np.zeros((6, t.size))
     history = History(means[0], means[1], means[2], means[3])
@@ -200,7 +266,11 @@ def pull(
     while k < marks.size and m < t.size and path.stop[0] == 0:
         force, pinned, V0 = history.force[m - 1], history.pinned[m - 1], velocity[m - 1]
         net = spring.stiffness * (Y[m - 1] - X[m - 1]) - force
-        damping = spring.damping + spring.drag * (1.0 - pinned)
+        net += way.forces[k] + way.rates[k] * (t[m - 1] - marks[k])
+        damping = spring.damping + way.dampings[k] + spring.drag * (1.0 - pinned)
+        if pinned < _LET_GO and spring.stiffness + damping + spring.mass == 0.0:
+            lost = True
+            break
         held, A = spring.stiffness + stiffness + rho, stiffness
         last = 1.2 * longest >= marks[k] - t[m - 1]
         dt, halvings = marks[k] - t[m - 1] if last else longest, max(halvings - 2, 0)
@@ -209,14 +279,17 @@ def pull(
             halvings = choices.steps[m].halvings
         guess, tries, guess_before, missed_before = r, 0, 0.0, 0.0
         while True:
-            gain = spring.stiffness * speeds[k] - guess
-            dX, V = displaced(spring.mass, damping, held, net, gain, V0, dt)
-            instant = not abs(dX) <= 1.5 * path.width or tries == _TRIALS
+            now = Balance(force, net, damping, A + rho, V0, guess)
+            dX, V = driven(spring, now, way.speeds[k], way.rates[k], dt)
+            # a motor on a rigid substrate moves against its damping, not to balance
+            rough = tries == _TRIALS and way.dampings[k] > 0.0
+            instant = not abs(dX) <= 1.5 * path.width
+            instant = instant or (tries == _TRIALS and not rough)
             if given:
                 instant = choices.steps[m].instant
                 if not instant and not abs(dX) <= _FARTHER * path.width:
-                    return Slide(means, m, False)
-            elif instant and dt > shortest:
+                    return Slide(means, m, False, False)
+            elif (instant and dt > shortest) or (rough and dt > _ROUGH * longest):
                 dt, last, guess, tries = 0.5 * dt, False, r, 0
                 continue
             if instant:
@@ -231,13 +304,19 @@ def pull(
             if not given:
                 t[m] = marks[k] if last else t[m - 1] + dt
             X[m] = X[m - 1] + dX
-            Y[m], velocity[m] = Y[m - 1] + speeds[k] * (t[m] - t[m - 1]), V
+            velocity[m] = V
             after, rows = cohorts, cohorts.order.size
             # a copy, as the step may be tried again
             if not given or spring.heat or count == rows:
                 after = with_room(cohorts, 2 * count if count == rows else rows)
             kept = advance_all(contacts, path, after, history, m, count, rate)
             stiffness = observe(after, kept, X[m], history, m)
+            Y[m] = Y[m - 1] + way.speeds[k] * (t[m] - t[m - 1])
+            if spring.stall < math.inf:
+                viscous = spring.damping + spring.drag * (1.0 - history.pinned[m])
+                load = force + damping * V0 + history.force[m] + viscous * V
+                slower = 0.5 * load * abs(way.speeds[k]) / spring.stall
+                Y[m] -= slower * (t[m] - t[m - 1])
             change = history.force[m] - force - A * dX
             # error of the estimate, of F or of the pinned share
             off = abs(change - rho * dX - r * dt)
@@ -258,7 +337,7 @@ def pull(
                 tries = _TRIALS if instant or dt <= shortest else 0
                 dt, last, guess = 0.5 * dt, False, r
                 continue
-            if not spring.heat or instant:
+            if not spring.heat or instant or rough:
                 break
             if given and (tries == choices.steps[m].trials or missed == missed_before):
                 break
@@ -273,7 +352,7 @@ def pull(
             guess_before, missed_before = guess, missed
             guess, tries = guess - missed / slope, tries + 1
         if given and off > _WORSE * tolerance and not instant:
-            return Slide(means, m, False)
+            return Slide(means, m, False, False)
         cohorts, count = after, kept
         if not given and m < choices.steps.size:
             decision = choices.steps[m]
@@ -302,13 +381,15 @@ def pull(
                 rho = softer
         k += last
         m += 1
-    return Slide(means, m, k == marks.size)
+    return Slide(means, m, k == marks.size or lost, lost)
 
 
 class Solution(NamedTuple):
     """Means at the instants asked for, or their errors, arrays (points,): those of
-    `History`, the displacement of the stage, the velocity of the slider, and X. Lengths
-    are in units of the law's scale, time in units of the whole programme."""
+    `History`, the displacement of the stage, the velocity of the slider, X, which is
+    not a number once the slider has let go, and the time at which it does so, if it
+    does. Lengths are in units of the law's scale, time in units of the whole
+    programme."""
 
     force: Array
     pinned: Array
@@ -317,10 +398,12 @@ class Solution(NamedTuple):
     stage: Array
     velocity: Array
     X: Array
+    end: Array
 
 
 def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transient:
-    """Solve for the mean field of a slider that a stage pulls (derived). Raises
+    """Solve for the mean field of a slider that a stage, a force or a motor pulls
+    (derived). Raises
     InputError for what has no reference along a programme, and where steps are too
     many."""
     unit, time = ensemble.thresholds.scale, float(grid.t[-1])
@@ -332,7 +415,11 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transient
     forces = drag * best.velocity, drag * missed.velocity
     means = with_drag(grid, values, np.array(missed[:3]), *forces, unit, breaks)
     X, stage, X_error = unit * np.array((best.X, best.stage, missed.X))
-    return replace(means, X=X, stage=stage, X_error=X_error)
+    end = None
+    if not math.isnan(best.end[0]):
+        end = Estimate(best.end[0] * time, missed.end[0] * time, 0)
+    stage = stage if programme.stage else None
+    return replace(means, X=X, stage=stage, X_error=X_error, lifetime=end)
 
 
 def solutions_of(
@@ -353,9 +440,12 @@ def solutions_of(
     if steps <= (_STEPS_OF_DISCRETE if discrete else _STEPS_OF_FEW_SLIPS):
         best, _ = solved(task._replace(halved=True), 4)
         off = np.abs(np.array(best) - coarse) + 0.5 * off
-    errors = largest_nearby(off, 5 + off.shape[1] // 50)
-    errors += 1e-6 * np.abs(best).max(axis=1, keepdims=True)
-    errors[-1, 0] = 0.0  # of X
+    # X where one solution has let go before another is not known
+    unsure = np.isnan(off) & ~np.isnan(np.array(best))
+    errors = largest_nearby(np.nan_to_num(off), 5 + off.shape[1] // 50)
+    errors += 1e-6 * np.abs(np.nan_to_num(best)).max(axis=1, keepdims=True)
+    errors[unsure] = math.inf
+    errors[Solution._fields.index("X"), 0] = 0.0
     return best, coarse, Solution(*errors)
 
 
@@ -407,29 +497,62 @@ class PulledTask(NamedTuple):
     spring: Spring
     t: Array
     halved: bool = False
+    pull: Pull | None = None
 
 
 def task_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> PulledTask:
-    """The task of a stage, lengths in units of the law's scale. Raises InputError."""
-    stage = programme.stage
-    assert stage is not None
+    """The task of a stage, a force or a motor, lengths in units of the law's scale.
+    Raises InputError."""
+    stage, pull = programme.stage, pull_of(ensemble, programme)
     contacts, course = course_of(ensemble, programme)
     unit, time = ensemble.thresholds.scale, float(grid.t[-1])
     spring = Spring(
-        stiffness=stage.stiffness,
-        damping=stage.damping / time,
+        stiffness=0.0,
+        damping=0.0,
         drag=drag_of(ensemble, unit / time),
-        mass=stage.mass / time**2,
-        in_balance=stage.preload is None and course.before > 0.0,
-        stretch=(stage.preload or 0.0) / unit,
+        mass=0.0,
+        in_balance=False,
+        stretch=0.0,
         velocity=course.before,
         heat=contacts.barrier.thermal,
         discrete=contacts.law.steps.size > 0,
     )
+    if stage is not None:
+        if stage.mass and pull.motor:
+            said = "must be 0 with drive.stall_force, for a mean field"
+            raise InputError(f"drive.stage.mass = {stage.mass:g}: {said}")
+        spring = spring._replace(
+            stiffness=stage.stiffness,
+            damping=stage.damping / time,
+            mass=stage.mass / time**2,
+            in_balance=stage.preload is None and course.before > 0.0,
+            stretch=(stage.preload or 0.0) / unit,
+            stall=pull.stall,
+        )
     path = float(np.ptp(course.at(np.append(0.0, course.ends))))
     reach = 2.0 * (path + abs(spring.stretch))  # a mass may overshoot
     numerics = numerics_of(contacts, course, reach or math.inf)
-    return PulledTask(numerics, spring, grid.t / time)
+    return PulledTask(numerics, spring, grid.t / time, pull=pull)
+
+
+def _way(task: PulledTask, marks: Array) -> Way:
+    """What pulls the slider up to each of the marks, shape (marks,)."""
+    ends, speeds = task.numerics.course.ends, task.numerics.course.velocity
+    nothing = np.zeros(ends.size)
+    forces, rates, dampings, pull = nothing, nothing, nothing, task.pull
+    if pull and not pull.stiffness:
+        forces, rates = np.array((pull.forces, pull.force_rates))
+        rates = rates * pull.ends[-1]
+        forces = forces + rates * np.diff(ends, prepend=0.0)
+        if pull.motor:
+            moving = speeds != 0.0
+            forces = np.sign(speeds) * pull.stall
+            dampings = np.full(ends.size, _STANDS)
+            dampings[moving] = pull.stall / np.abs(speeds[moving])
+        speeds = nothing
+    i = np.minimum(np.searchsorted(ends, marks * (1.0 - 1e-12)), ends.size - 1)
+    at_marks = forces[i] + rates[i] * (marks - ends[i])
+    return Way(marks, speeds[i], at_marks, rates[i], dampings[i])
 
 
 def solved(
@@ -454,19 +577,24 @@ def solved(
     marks = marks[(marks > 0.0) & np.append(np.diff(marks) > 1e-12, True)]
     if task.halved:
         marks = np.union1d(marks, marks - 0.5 * np.diff(marks, prepend=0.0))
-    segment = np.minimum(np.searchsorted(ends, marks * (1.0 - 1e-12)), ends.size - 1)
-    contacts, speeds = numerics.contacts(fine), numerics.course.velocity[segment]
+    contacts, way = numerics.contacts(fine), _way(task, marks)
     tolerance = _FORCE_TOLERANCE * numerics.typical / fine**2
     with ThreadPool(1) as thread:
         path = path._replace(stop=thread.stop)
         slide = thread.submit(
-            pull, contacts, path, task.spring, marks, speeds, tolerance
+            pull, contacts, path, task.spring, way, tolerance
         ).result()
     if not slide.complete:
         raise TooManySteps(
-            f"drive.stage: takes more than {most_steps} steps of the mean field"
+            f"drive: takes more than {most_steps} steps of the mean field"
         )
     seen = np.append(0.0, marks)
     seen = seen[np.searchsorted(seen, task.t * (1.0 - 1e-12))]
     index = np.searchsorted(path.t[: slide.edges], seen)
-    return Solution(*np.vstack((slide.means, path.X))[:, index]), slide.edges
+    end = path.t[slide.edges - 1] if slide.lost else math.nan
+    rows = np.vstack((slide.means, path.X, np.full(path.t.size, end)))
+    gone = index == slide.edges
+    found = rows[:, np.where(gone, slide.edges - 1, index)]
+    if slide.lost:
+        found[:, gone] = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, math.nan, end]]).T
+    return Solution(*found), slide.edges

@@ -4,11 +4,12 @@ engine reports them, or at many for fits and curves."""
 import functools
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from scipy import optimize
 
-from eqsim.errors import InputError, require_number
+from eqsim.errors import InputError
 from eqsim.estimate import Averages, Estimate, infinite, known
 from eqsim.laws.aging import Aging
 from eqsim.laws.threshold import Gamma
@@ -16,12 +17,17 @@ from eqsim.master.annealed import Ageing, annealed_moments
 from eqsim.master.profile import profile_of
 from eqsim.master.quenched import LifeMoments, integrals_beyond
 from eqsim.master.solvers import PUBLISHED, method_of, moments_of
-from eqsim.model.drive import Drive, require_drive
+from eqsim.model.drive import Drive, Programme, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.mixture import mixed_averages
-from eqsim.model.reduced import Reduced, bare, drag_of, reduced
+from eqsim.model.reduced import Reduced, bare, delay_of, drag_of, reduced
 from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
+
+# Slowest motor, over its velocity without a load.
+_SLOWEST = 1e-12
+# Velocities, four in a decade, between which there is one steady velocity, or none.
+_LOOKS = 49
 
 
 @dataclass(frozen=True, repr=False)
@@ -37,10 +43,17 @@ class Reference(Averages):
         Elastic part of the friction per pinned contact (length).
     method : str
         The equation that was solved.
+    velocity : Estimate or None
+        Of a slider that a motor drives (length/time).
+    roots : tuple of float
+        All its steady velocities, ascending. `velocity` is the slowest to which it
+        returns: v/u + friction/s rises there.
     """
 
     f_k: Estimate
     method: str
+    velocity: Estimate | None = None
+    roots: tuple[float, ...] = ()
 
 
 class MomentArrays(NamedTuple):
@@ -86,7 +99,9 @@ class Curve(Result):
     break_stretch_error: Array
 
 
-def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Reference:
+def reference(
+    ensemble: Ensemble, drive: Drive | Programme, *, variance: bool = False
+) -> Reference:
     """Solve for the steady averages of an ensemble by quadrature.
 
     Friction is F/(N k), a length, for N contacts of stiffness k; the number of contacts
@@ -98,14 +113,15 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
 
     W = int_y^{x_b} kappa x dx, and with V = int_y^{x_b} kappa^2 x^2 dx the variance of
     the force of one contact over k is E[V]/(E[l] + v<tau>) + (eta v/k)^2 (1 - pinned) -
-    friction^2 (derived).
+    friction^2 (derived). Behind a motor the velocity v solves v = u (1 - friction/s).
 
     Parameters
     ----------
     ensemble : Ensemble
-    drive : Drive
-        Its velocity (length/time) is all that matters: a drive with a programme, a
-        stage or blocks is refused, since it has no steady state of this kind.
+    drive : Drive or Programme
+        Its velocity (length/time) is all that matters; of a programme with a
+        `stall_force` and no stage, that of its one segment. Other programmes, a stage
+        or blocks are refused, since they have no steady state of this kind.
     variance : bool
         Whether to find the force variance of contacts born unstretched, too, which
         takes longer; it is known anyway of those born stretched. Where it is infinite
@@ -118,8 +134,9 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     Raises
     ------
     InputError
-        For a drive that is not constant, if a dimensionless number is out of range, and
-        for annealed contacts of more than 1000 different thresholds.
+        For a drive that is not constant, a motor that friction stops, if a
+        dimensionless number is out of range, and for annealed contacts of more than
+        1000 different thresholds.
 
     Examples
     --------
@@ -128,7 +145,9 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     >>> print(f"{exact.friction.value:.6f}, {exact.pinned.value:.1f}")
     0.883883, 1.0
     """
-    require_drive(drive)
+    if isinstance(drive, Programme) and drive.motor:
+        return _behind_motor(ensemble, drive, variance)
+    drive = require_drive(drive)
     if ensemble.populations:
         return _mixed(ensemble, drive, variance)
     v, stretched = drive.velocity, ensemble.newborn.active
@@ -136,7 +155,7 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     square = variance and not (divergence or stretched)
     alone = bare(ensemble)
     lives = lives_of(alone, (v,), square)
-    found = {
+    found: dict[str, Any] = {
         name: Estimate(float(value[0]), float(error[0]), 0)
         for name, (value, error) in _observables(ensemble, (v,), lives).items()
     }
@@ -150,17 +169,50 @@ def reference(ensemble: Ensemble, drive: Drive, *, variance: bool = False) -> Re
     return Reference(**found, method=method)
 
 
+def _behind_motor(ensemble: Ensemble, drive: Programme, variance: bool) -> Reference:
+    """`reference` of a slider that a motor drives. Raises InputError."""
+    u, s = drive.segments[0].velocity, drive.stall_force
+    if drive.stage or len(drive.segments) > 1 or u <= 0.0:
+        said = "a motor has steady averages at one velocity > 0 and without a stage"
+        raise InputError(f"drive.stall_force = {s:g}: {said}")
+
+    def excess(log_v: float) -> float:
+        v = math.exp(log_v) * u
+        return v / u - 1.0 + known(reference(ensemble, Drive(v)).friction) / s
+
+    log_v = np.linspace(math.log(_SLOWEST), 0.0, _LOOKS)
+    v = np.exp(log_v)
+    above = v - 1.0 + curve(ensemble, v * u).friction / s >= 0.0
+    brackets = np.flatnonzero(above[1:] != above[:-1])
+    roots = [
+        math.exp(optimize.brentq(excess, log_v[i], log_v[i + 1], xtol=1e-14)) * u
+        for i in brackets
+    ]
+    stable = [root for root, i in zip(roots, brackets, strict=True) if not above[i]]
+    if not stable:
+        said = f"friction stops the motor; it is larger down to {_SLOWEST:g} velocity"
+        raise InputError(f"drive.stall_force = {s:g}: {said}")
+    found = reference(ensemble, Drive(stable[0]), variance=variance)
+    x, h = math.log(stable[0] / u), 1e-4
+    slope = abs(excess(x + h) - excess(x - h)) / (2.0 * h)
+    error = (found.friction.stderr or 0.0) / s / slope * stable[0]
+    velocity = Estimate(stable[0], error, 0)
+    return replace(found, velocity=velocity, roots=tuple(roots))
+
+
 def _mixed(ensemble: Ensemble, drive: Drive, variance: bool) -> Reference:
     """`reference` of several kinds of contacts."""
     kinds, v = ensemble.kinds, drive.velocity
     each = [reference(kind.contacts, drive, variance=variance) for kind in kinds]
-    found = mixed_averages(kinds, each, v, bounds=True)
+    found: dict[str, Any] = mixed_averages(kinds, each, v, bounds=True)
     drag = drag_of(ensemble, v) * ensemble.thresholds.scale
     friction, pinned = known(found["friction"]), known(found["pinned"])
+    method = "; ".join(dict.fromkeys(one.method for one in each))
+    if not pinned:  # no contact forms again
+        return Reference(**found, f_k=Estimate(None, None, 0), method=method)
     f_k = (friction - drag * (1.0 - pinned)) / pinned
     error = found["friction"].stderr or 0.0
     error += abs(drag - f_k) * (found["pinned"].stderr or 0.0)
-    method = "; ".join(dict.fromkeys(one.method for one in each))
     return Reference(**found, f_k=Estimate(f_k, error / pinned, 0), method=method)
 
 
@@ -211,14 +263,16 @@ def _observables(
     """Values and absolute errors of observables in the user's units, arrays
     (velocities,)."""
     unit = ensemble.thresholds.scale
-    delay = np.array([_delay_of(ensemble, v) for v in velocities])
+    delay = np.array([delay_of(ensemble, v).mean for v in velocities])
     drag = np.array([drag_of(ensemble, v) for v in velocities])
     travel, work, square = lives.stretch, lives.work, lives.square
     relative, cycle = lives.stretch_error / travel, travel + delay
     pinned = travel / cycle
     pinned_error = pinned * (1.0 - pinned) * relative
     elastic = work / cycle
-    friction = elastic + drag * (delay / cycle)
+    endless = np.isinf(delay)
+    detached = np.where(endless, 1.0, delay / np.where(endless, 1.0, cycle))
+    friction = elastic + drag * detached
     error = (lives.work_error + np.abs(work) * pinned * relative) / cycle
     error += drag * pinned_error
     f_k_error = lives.work_error / travel + np.abs(work) / travel * relative
@@ -235,13 +289,6 @@ def _observables(
         "force_variance": (variance * unit**2, missed * unit**2),
         "f_k": (work / travel * unit, f_k_error * unit),
     }
-
-
-def _delay_of(ensemble: Ensemble, velocity: float) -> float:
-    """v<tau>/x_*. Raises InputError."""
-    delay = ensemble.delay.reduced(velocity, ensemble.thresholds.scale).mean
-    require_number("velocity * delay / threshold", delay, least=0, most=1e100)
-    return delay
 
 
 # It takes 1 ms to 1 s, and a fit, a sweep or a reference may change the delay or the

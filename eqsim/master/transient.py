@@ -31,7 +31,7 @@ from scipy.interpolate import CubicSpline
 
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import known
-from eqsim.laws.delay import Fixed
+from eqsim.laws.delay import Exponential, Fixed
 from eqsim.master import programme, slider
 from eqsim.master.profile import Profile, profile_of
 from eqsim.master.programme import Transient as Transient
@@ -111,7 +111,7 @@ def transient(
     [0.0, 0.8579, 0.8727, 0.8897]
     """
     require_integer("points", points, 2, 10**8)
-    pulled = isinstance(drive, Programme) and drive.stage
+    pulled = isinstance(drive, Programme) and drive.pulled
     if ensemble.populations and not pulled:
         way, kinds = over_distance(drive, ensemble), ensemble.kinds
         each = [transient(x.contacts, way, points, variance=variance) for x in kinds]
@@ -119,7 +119,7 @@ def transient(
         return mixed
     if isinstance(drive, Programme):
         grid = drive.grid(points)
-        solve = slider.pulled_of if drive.stage else programme.means_along
+        solve = slider.pulled_of if drive.pulled else programme.means_along
         means = solve(ensemble, drive, grid)
         if variance:
             return means
@@ -170,6 +170,7 @@ def _interpolated(X: Array, x: Array, *rows: Array) -> list[Array]:
 
 def _level(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Transient:
     """Constant means of a stationary start."""
+    ensemble.require_steady_state()
     exact, level = reference(ensemble, drive, variance=variance), np.ones(points)
     X, pinned = np.linspace(0.0, drive.over(ensemble), points), known(exact.pinned)
     square, error = exact.force_variance, exact.force_variance.stderr or 0.0
@@ -230,7 +231,7 @@ def middle_half(profile: Profile) -> tuple[float, float]:
 def _in_step(profile: Profile, contacts: Reduced, x: Array) -> tuple[Array, int]:
     """Share of contacts that may be in step at each edge `x` of a grid that blurs them,
     and `Cells.around`."""
-    h, delay = x[1], contacts.delay.mean
+    h, delay = x[1], min(contacts.delay.mean, x[-1])  # longer ones are alike
     quick, slow = middle_half(profile)
     cycle = delay + slow
     highest, count = max(100.0 / quick, 200.0 / cycle), 400 if profile.jumps else 50
@@ -429,6 +430,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     [0.6771, 0.0504, 0.0111]
     """
     require_drive(drive)
+    ensemble.require_steady_state()
     require_integer("points", points, 2, 10**6)
     if ensemble.populations:
         way, kinds = over_distance(drive, ensemble), ensemble.kinds
@@ -502,6 +504,11 @@ def _reborn(fresh: Array, x: Array, contacts: Reduced) -> tuple[Array, Array]:
         late = total(np.maximum(x - delay, 0.0))
         force = drag * np.maximum(1.0 - x / delay, 0.0) + (total(x) - late) / delay
         return drag * np.minimum(x, delay) + late, force
+    if not isinstance(contacts.delay, Exponential):
+        # y: fresh * P(delay > x)
+        left = contacts.delay.rest(x)
+        y = after(0.5 * (fresh[:-1] + fresh[1:]), -np.diff(left))
+        return drag * (delay - left) + total(x) - y, (drag * left + y) / delay
     # y' = (fresh - y)/delay, the mean force of those already pinned again, with fresh
     # linear in each cell
     ratio = x[1] / delay

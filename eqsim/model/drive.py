@@ -82,10 +82,11 @@ def over_distance(drive: Any, ensemble: Ensemble) -> Any:
 
 @dataclass(frozen=True)
 class Segment:
-    """A piece of a programme at constant velocity, for a `distance` or a `time`.
+    """A piece of a programme at constant velocity, for a `distance` or a `time`; or
+    under a force that is constant or changes in proportion to time, for a `time`.
 
-    Raises InputError for a value out of range, and unless either a distance or a
-    time is given.
+    Raises InputError for a value out of range, unless either a distance or a time is
+    given, and for a force with a velocity or a distance.
 
     Parameters
     ----------
@@ -98,19 +99,35 @@ class Segment:
     points : int, optional
         At how many instants after its beginning the force is recorded, by default a
         fair share of all.
+    force : float, optional
+        Pull on the slider at the beginning, over N k as friction is (length); by
+        default that at the end of the segment before, and 0 at first.
+    force_rate : float, optional
+        Change of the force (length/time), 0 by default.
 
     Examples
     --------
     >>> Segment(-0.5, distance=2.0).duration  # 2 back at velocity 0.5
     4.0
+    >>> Segment(force=0.5, time=10.0).forced  # creep
+    True
     """
 
     velocity: float = 0.0
     distance: float | None = None
     time: float | None = None
     points: int | None = None
+    force: float | None = None
+    force_rate: float | None = None
 
     def __post_init__(self) -> None:
+        for name in ("force", "force_rate"):
+            if (value := getattr(self, name)) is None:
+                continue
+            require_number(name, value)
+            if self.velocity != 0 or self.distance is not None:
+                said = "not with a velocity or distance; a segment under a force has"
+                raise InputError(f"{name} = {value!r}: {said} a time")
         require_number("velocity", self.velocity)
         if self.velocity != 0:
             require_number("|velocity|", abs(self.velocity), **POSITIVE)
@@ -125,6 +142,11 @@ class Segment:
             require_number("time", self.time or 0.0, **POSITIVE)
         if self.points is not None:
             require_integer("points", self.points, 1, 2 * 10**7)
+
+    @property
+    def forced(self) -> bool:
+        """True if a force pulls the slider."""
+        return self.force is not None or self.force_rate is not None
 
     @property
     def duration(self) -> float:
@@ -203,10 +225,11 @@ class Grid(NamedTuple):
 
 @dataclass(frozen=True)
 class Programme:
-    """A drive in segments, each at constant velocity: steps, holds, reversals.
+    """A drive in segments, each at constant velocity: steps, holds, reversals. Or each
+    under a force: creep, ramps.
 
-    Raises InputError for an empty programme, and a stationary start without a
-    velocity.
+    Raises InputError for an empty programme, a stationary start without a velocity,
+    velocities beside forces, and forces with a stage, a motor or a stationary start.
 
     Parameters
     ----------
@@ -220,6 +243,13 @@ class Programme:
     stage : Stage, optional
         The programme is that of a stage that pulls the slider through a spring; else of
         the slider itself.
+    stall_force : float
+        Force s over N k (length), > 0, at which a motor stops that drives the slider,
+        or the stage's end of the spring, where its load is F:
+
+            Y' = u (1 - |F|/s),
+
+        with u the velocity of the segment. By default it never stops.
 
     Examples
     --------
@@ -232,6 +262,7 @@ class Programme:
     start: Start = "fresh"
     velocity: float | None = None
     stage: Stage | None = None
+    stall_force: float = math.inf
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "segments", tuple(self.segments))
@@ -246,21 +277,61 @@ class Programme:
             require_number("velocity", self.velocity, **POSITIVE)
         elif self.start == "stationary":
             raise InputError('velocity: is required with start = "stationary"')
+        if self.stall_force != math.inf:
+            require_number("stall_force", self.stall_force, **POSITIVE)
+        if any(segment.forced for segment in self.segments):
+            self._require_forces()
         with under("programme"):
             duration = sum(segment.duration for segment in self.segments)
             require_number("time", duration, **POSITIVE)
 
+    def _require_forces(self) -> None:
+        """Raise InputError unless every segment has a force, and nothing else pulls."""
+        if not self.forced:
+            said = (
+                "not beside segments with a velocity or hold; a programme has one kind"
+            )
+            raise InputError(f"programme: a segment has a force, {said}")
+        given = {
+            "stage": self.stage is not None,
+            "stall_force": self.stall_force != math.inf,
+            "start": self.start != "fresh",
+        }
+        for name in (name for name, there in given.items() if there):
+            said = 'must be "fresh"' if name == "start" else "not allowed"
+            raise InputError(
+                f"{name}: {said} with a force, which pulls the slider itself"
+            )
+
+    @property
+    def forced(self) -> bool:
+        """True if forces pull the slider."""
+        return all(segment.forced for segment in self.segments)
+
+    @property
+    def motor(self) -> bool:
+        """True if a motor with a finite stall force drives."""
+        return self.stall_force < math.inf
+
+    @property
+    def pulled(self) -> bool:
+        """True if X is found, not given: by a stage, a force or a motor."""
+        return self.stage is not None or self.forced or self.motor
+
     def grid(self, points: int) -> Grid:
-        """About `points` instants: equidistant along a segment that moves, at equal
-        ratios from the 1e-5th part of a hold on."""
+        """About `points` instants: equidistant along a segment that moves or whose
+        force changes, at equal ratios from the 1e-5th part of a hold or creep on."""
         share = max(1, (points - 1) // len(self.segments))
         parts = [Grid(np.zeros(1), np.zeros(1), np.zeros(1, np.int64))]
         for index, segment in enumerate(self.segments):
             n, (t, X, _) = segment.points or share, parts[-1]
             if segment.velocity == 0:
                 along: Array = np.zeros(n)
+                ramp = np.arange(1, n + 1) / n
                 looks = np.flip(np.geomspace(1.0, _FIRST_LOOK, n))
-                elapsed: Array = segment.duration * looks
+                elapsed: Array = segment.duration * (
+                    ramp if segment.force_rate else looks
+                )
             else:
                 along = np.arange(1, n + 1) * (segment.path / n)
                 elapsed = np.asarray(along / abs(segment.velocity))
@@ -273,8 +344,11 @@ def require_drive(drive: Drive | Programme) -> Drive:
     """A constant drive; InputError for what is none, such as a bare velocity or a
     programme."""
     if isinstance(drive, Programme):
-        pulled = "drive.stage: a slider that a spring pulls"
-        moving = pulled if drive.stage else "drive.programme:"
+        moving = "drive.programme:"
+        if drive.pulled:
+            moving = "drive.stage: a slider that a spring pulls"
+            moving = "drive.stall_force: a motor" if drive.motor else moving
+            moving = "drive.force: a slider under a force" if drive.forced else moving
         needs = "this needs a constant drive.velocity of the slider itself"
         raise InputError(f"{moving} has no steady state; {needs}")
     if not isinstance(drive, Drive):

@@ -23,6 +23,7 @@ from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import StiffnessLaw
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Gamma, ThresholdLaw, diverges, tail_exponent
+from eqsim.laws.viscosity import Viscosity
 from eqsim.numerics.streams import seed_named
 
 Disorder = Literal["quenched", "annealed"]
@@ -120,6 +121,8 @@ class Ensemble:
         Viscous coefficient of a detached contact, of force eta v.
     newborn : Newborn
         Law of their stretches at birth.
+    viscosity : Viscosity
+        Another drag of a detached contact.
     populations : sequence of Population
         Kinds of contacts, of which k is the mean stiffness; the values above are those
         that a population does not give.
@@ -141,13 +144,14 @@ class Ensemble:
     disorder: Disorder = "quenched"
     eta: float = 0.0
     newborn: Newborn = Newborn()
+    viscosity: Viscosity = Viscosity()
     populations: Sequence[Population] = ()
 
     def __post_init__(self) -> None:
         if not hasattr(self.thresholds, "declared"):
             said = "must be a law of thresholds, such as Gamma(1.0)"
             raise InputError(f"thresholds = {shown(self.thresholds)}: {said}")
-        for kind in (Thermal, Delay, Aging, Newborn):
+        for kind in (Thermal, Delay, Aging, Newborn, Viscosity):
             name = kind.__name__.lower()
             given = getattr(self, name)
             if not isinstance(given, kind):
@@ -214,10 +218,24 @@ class Ensemble:
             *law,
             *heat,
             delay.law,
-            delay.time * velocity / unit,
+            self.delay_time(velocity) * velocity / unit,
+            *delay.parameters,
             *ages,
             *births,
         )
+
+    def delay_time(self, velocity: float) -> float:
+        """Mean delay (time) at the ensemble's temperature and a velocity."""
+        return self.delay.at(self.thermal.kT, velocity).time
+
+    def require_steady_state(self) -> None:
+        """Raise InputError if no contact is pinned in the steady state, as none forms
+        again."""
+        if self.delay_time(1.0) == math.inf:
+            raise InputError(
+                "delay.time = inf: no contact forms again, and none is pinned in the "
+                'steady state; take drive.start = "fresh"'
+            )
 
     @property
     def self_consistent(self) -> bool:
@@ -248,6 +266,8 @@ class Ensemble:
         if self.populations:
             found = (kind.contacts.divergence for kind in self.kinds)
             return next(filter(None, found), "")
+        if self.delay_time(1.0) == math.inf:
+            return ""  # all contacts are detached
         power = 5 if self.stiffness_law == "sqrt" else 3
         if isinstance(self.thresholds, Gamma) or not diverges(self.thresholds, power):
             return ""

@@ -9,7 +9,7 @@ from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS
 from eqsim.model.drive import Drive, Programme, over_distance
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import drag_of, legs, pull_of
+from eqsim.model.reduced import delay_of, drag_of, legs, pull_of
 from eqsim.paper import equation
 
 # b, or 1/b, beyond which units were probably mixed.
@@ -95,9 +95,9 @@ def _of_contacts(ensemble: Ensemble, v: float) -> Rows:
         yield f"least y/{per}", low, tail.format("a normal", "below")
         yield f"greatest y/{per}", high, tail.format("an unbounded", "above")
     if ensemble.delay.time > 0:
-        slid = v * ensemble.delay.time / unit
+        slid = delay_of(ensemble, v).mean
         yield "v tau/x_*", slid, "distance slid while detached"
-    if ensemble.eta > 0:
+    if drag_of(ensemble, v) > 0:
         yield "eta v/(k x_*)", drag_of(ensemble, v), "viscous force, detached"
 
 

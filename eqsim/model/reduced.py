@@ -10,12 +10,15 @@ energy in units of kT. What a key of a run file is called afterwards, and where:
     aging.rate                 alpha     4 D x_*/(v x_*f^2)     aging, `Aging.alpha`
     aging.x_star_final         final2    (x_*f/x_*)^2           aging
     aging.cutoff_time          per_time  x_*/(v t_c)            aging
-    delay.time                 mean      v tau/x_*              delay
-    viscosity.eta              drag      eta v/(k x_*)
+    delay.time                 mean      v tau/x_*, `Delay.at`  delay
+    viscosity.*                drag      eta v/(k x_*)          `drag_of`
     newborn.*                  the same  y/x_*, or y/xi         `Newborn.reduced`
     drive.stage.damping        damping   eta_s v/x_*            `Pull`
     drive.stage.mass           mass      m v^2/x_*^2            `Pull`
     drive.velocity             pace      of a segment           `Leg`
+    drive.force                forces    f/x_*                  `Pull`
+    drive.force_rate           rates     f'/v                   `Pull`
+    drive.stall_force          stall     s/x_*                  `Pull`
     output.seed                key       words of a stream      `numerics.streams.key`
 
 At constant velocity v is a part of log_w, alpha, per_time, mean and drag only. Other
@@ -32,10 +35,11 @@ from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, und
 from eqsim.laws.aging import AgingLaw, Unaged
 from eqsim.laws.barrier import BARRIERS, Barrier, Mechanical
 from eqsim.laws.barrier.base import require_whole
-from eqsim.laws.delay import Delay, Exponential, Fixed
+from eqsim.laws.delay import Delay, DelayLaw
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.stiffness import Springs, StiffnessLaw
 from eqsim.laws.threshold import Gamma, ThresholdLaw
+from eqsim.laws.viscosity import Viscosity
 from eqsim.model.drive import Programme
 from eqsim.model.ensemble import Ensemble
 
@@ -64,10 +68,10 @@ class Reduced(NamedTuple):
     aging : AgingLaw
         Of quenched contacts, with the numbers of its rule (`laws.aging.base`,
         `laws.aging.logarithmic`).
-    delay : Fixed | Exponential
+    delay : DelayLaw
         With mean v<tau>/x_*.
     drag : float
-        eta v/(k x_*), force of a detached contact.
+        Force of a detached contact over k x_*, such as eta v/(k x_*).
     newborn : Newborn
         Stretches at birth, in the user's unit.
     one_sided : bool
@@ -80,7 +84,7 @@ class Reduced(NamedTuple):
     annealed: bool
     barrier: Barrier
     aging: AgingLaw
-    delay: Fixed | Exponential
+    delay: DelayLaw
     drag: float
     newborn: Newborn = Newborn()
     one_sided: bool = False
@@ -102,7 +106,7 @@ class Reduced(NamedTuple):
 
 def bare(ensemble: Ensemble) -> Ensemble:
     """Without what plays no part in lives: the delay, drag and count."""
-    return replace(ensemble, delay=Delay(), eta=0.0, count=1)
+    return replace(ensemble, delay=Delay(), eta=0.0, viscosity=Viscosity(), count=1)
 
 
 # The law of annealed contacts that age takes 50 ms, and engine and reference ask for it
@@ -125,8 +129,6 @@ def reduced(
         raise InputError("population: this needs contacts of one kind")
     law, aging = births(ensemble, velocity, mean_stretch), ensemble.aging
     unit, newborn = law.scale, law is ensemble.thresholds
-    delay = ensemble.delay.reduced(velocity, unit)
-    require_number("velocity * delay / threshold", delay.mean, least=0, most=1e100)
     barrier = _barrier(ensemble, velocity, unit)
     annealed = ensemble.disorder == "annealed"
     return Reduced(
@@ -137,7 +139,7 @@ def reduced(
         barrier=barrier,
         # births that have aged age no more
         aging=aging.law(law, velocity) if newborn else Unaged(),
-        delay=delay,
+        delay=delay_of(ensemble, velocity),
         drag=drag_of(ensemble, velocity),
         newborn=ensemble.newborn,
         one_sided=annealed and ensemble.newborn.of == "length",
@@ -165,7 +167,27 @@ class Leg(NamedTuple):
 
 
 def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
-    """The segments of a programme. Raises InputError if one is out of range."""
+    """The segments of a programme. Raises InputError if one is out of range, and for
+    the steady state of contacts that never form again, and delays that depend on the
+    velocity unless there is but one speed, and a stage with such a drag."""
+    speeds = {abs(segment.velocity) for segment in programme.segments}
+    if programme.start == "stationary":
+        speeds.add(programme.velocity or 0.0)
+    if ensemble.delay.velocity_exponent and (len(speeds) > 1 or programme.stage):
+        raise InputError(
+            f"delay.velocity_exponent = {ensemble.delay.velocity_exponent:g}: must be 0 "
+            "with a stage, a hold, and segments of several velocities"
+        )
+    if programme.start == "stationary":
+        ensemble.require_steady_state()
+    drag = ensemble.viscosity
+    bent = ensemble.eta * (drag.exponent - 1.0)
+    for name, wrong, allowed in (("force", drag.force, 0), ("exponent", bent, 1)):
+        if wrong and programme.stage:
+            raise InputError(
+                f"viscosity.{name} = {getattr(drag, name):g}: must be {allowed} with "
+                "drive.stage, whose slider has a drag in proportion to its velocity"
+            )
     unit, segments = ensemble.thresholds.scale, programme.segments
     moving = [abs(segment.velocity) for segment in segments if segment.velocity]
     idle = programme.velocity or next(iter(moving), unit / segments[0].duration)
@@ -181,8 +203,12 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
 
 
 class Pull(NamedTuple):
-    """A stage, its spring and the slider in dimensionless numbers: time is displacement
-    at `pace` (length/time).
+    """What pulls a slider, in dimensionless numbers: time is displacement at `pace`
+    (length/time). It obeys
+
+        m X'' + c X' = kappa (Y - X) + f(t) - F
+
+    with the end of the spring at Y. Without a spring, kappa = 0.
 
     Attributes
     ----------
@@ -193,7 +219,13 @@ class Pull(NamedTuple):
     ends : sequence of float
         When segments end.
     speeds : sequence of float
-        Of the stage in each, in units of the pace.
+        Of the stage or of an unloaded motor in each, in units of the pace.
+    forces : sequence of float
+        f at the beginning of each; 0 without a force.
+    force_rates : sequence of float
+        Change of f per time in each.
+    stall : float
+        Stall force s of a motor, else infinite.
     """
 
     pace: float
@@ -202,16 +234,40 @@ class Pull(NamedTuple):
     mass: float
     ends: Sequence[float]
     speeds: Sequence[float]
+    forces: Sequence[float] = ()
+    force_rates: Sequence[float] = ()
+    stall: float = math.inf
+
+    @property
+    def motor(self) -> bool:
+        """True if a motor with a finite stall force drives."""
+        return self.stall < math.inf
 
 
 def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
-    """The stage of a programme. Raises InputError if it has none, or a number is out of
-    range."""
+    """What pulls the slider of a programme. Raises InputError if nothing does, or a
+    number is out of range."""
     stage, unit = programme.stage, ensemble.thresholds.scale
-    if stage is None:
+    if not programme.pulled:
         raise InputError("drive.stage: is required")
     pace = max(leg.pace for leg in legs(ensemble, programme))
-    damping, mass = stage.damping * pace / unit, stage.mass * (pace / unit) ** 2
+    stiffness = stage.stiffness if stage else 0.0
+    damping = stage.damping * pace / unit if stage else 0.0
+    mass = stage.mass * (pace / unit) ** 2 if stage else 0.0
+    force, forces, rates = 0.0, [], []
+    for segment in programme.segments:
+        force = force if segment.force is None else segment.force
+        forces.append(force / unit)
+        rates.append((segment.force_rate or 0.0) / pace)
+        force += (segment.force_rate or 0.0) * segment.duration
+    for name, value in (
+        ("force / threshold", max(map(abs, forces))),
+        ("force_rate / velocity", max(map(abs, rates))),
+    ):
+        require_number(name, value, least=0, most=1e100)
+    stall = programme.stall_force / unit
+    if stall != math.inf:
+        require_number("stall_force / threshold", stall, least=1e-100, most=1e100)
     with under("stage"):
         require_number("damping * velocity / threshold", damping, least=0, most=1e100)
         require_number("mass * velocity^2 / threshold^2", mass, least=0, most=1e100)
@@ -220,7 +276,17 @@ def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
         elapsed += segment.duration * pace / unit
         ends.append(elapsed)
     speeds = tuple(segment.velocity / pace for segment in programme.segments)
-    return Pull(pace, stage.stiffness, damping, mass, tuple(ends), speeds)
+    return Pull(
+        pace=pace,
+        stiffness=stiffness,
+        damping=damping,
+        mass=mass,
+        ends=tuple(ends),
+        speeds=speeds,
+        forces=tuple(forces),
+        force_rates=tuple(rates),
+        stall=stall,
+    )
 
 
 def births(
@@ -242,10 +308,24 @@ def births(
     return aging.pooled(law, decay)
 
 
+def delay_of(ensemble: Ensemble, velocity: float) -> DelayLaw:
+    """The law of v tau/x_*. Raises InputError if its mean is beyond 1e100, but
+    finite."""
+    delay = ensemble.delay.at(ensemble.thermal.kT, velocity)
+    law = delay.reduced(velocity, ensemble.thresholds.scale)
+    if law.mean != math.inf:
+        require_number("velocity * delay / threshold", law.mean, least=0, most=1e100)
+    return law
+
+
 def drag_of(ensemble: Ensemble, velocity: float) -> float:
-    """eta v/(k x_*), force of a detached contact. Raises InputError if it is beyond
-    1e100."""
-    drag = ensemble.eta / ensemble.mean_stiffness * velocity / ensemble.thresholds.scale
+    """Force of a detached contact over k x_*, eta v/(k x_*) unless `Viscosity` has
+    more. Raises InputError if it is beyond 1e100."""
+    unit, law = ensemble.thresholds.scale, ensemble.viscosity
+    drag = ensemble.eta / ensemble.mean_stiffness * velocity / unit
+    if drag and law.exponent != 1.0:
+        drag *= law.factor(velocity)
+    drag += law.force / ensemble.mean_stiffness / unit
     require_number("eta * velocity / (stiffness * threshold)", drag, **NOT_NEGATIVE)
     return drag
 

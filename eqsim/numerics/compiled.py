@@ -26,7 +26,8 @@ from eqsim.numerics.kernel_folder import locked_folder
 __all__ = ["by_law", "fma", "kernel", "routine"]
 
 Body = TypeVar("Body", bound=Callable[..., Any])
-_INLINED = {"error_model": "numpy", "forceinline": True, "_nrt": False}
+_PLAIN = {"error_model": "numpy", "no_cfunc_wrapper": True}
+_INLINED = {**_PLAIN, "forceinline": True, "_nrt": False}
 
 
 class Kernel:
@@ -76,7 +77,7 @@ def _kind(value: Any) -> Any:
 
 def _compiled(function: Any, signature: tuple[Any, ...], folder: Path | None) -> Any:
     """A dispatcher for one signature, from a folder or saved there if there is one."""
-    options = {"error_model": "numpy", "nogil": True}
+    options = {**_PLAIN, "nogil": True}
     if folder is not None:
         previous = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(folder)
@@ -107,7 +108,7 @@ def routine(function: Callable[..., Any] | None = None, *, inline: bool = False)
     vectorise; else LLVM decides."""
     if function is None:
         return functools.partial(routine, inline=inline)
-    options = _INLINED if inline else {"error_model": "numpy", "forceinline": False}
+    options = _INLINED if inline else {**_PLAIN, "forceinline": False}
     return register_jitable(**options)(function)
 
 

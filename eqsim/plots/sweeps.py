@@ -395,7 +395,7 @@ def _curve_averages(
     velocities or the row's own. Raises InputError where it is not known, or takes long.
     """
     file = _point(sweep, row, more)
-    if file["elastic"] or file["drive.stage"] or file["drive.programme"]:
+    if file["elastic"] or file["drive.programme"] or file.pulled:
         raise InputError("no steady state at constant velocity")
     ensemble = file.ensemble
     slow = ensemble.newborn.active or ensemble.aging.active

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow
-from pyarrow import parquet as pq
 
 from eqsim.errors import InputError, require_integer, require_number, shown, under
 from eqsim.io.runfile import RunFile, at, keys, parameters, path_of
+from eqsim.io.storage import read_parquet
 from eqsim.laws.threshold import Table
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
@@ -196,7 +196,7 @@ def _points_file(name: Any, file: RunFile) -> list[dict[str, Any]]:
     if not path.is_file():
         raise InputError(f"sweep.file = {path}: is not a file; must be {wanted}")
     try:
-        rows = pq.read_table(path).to_pylist()
+        rows = read_parquet(path.read_bytes()).to_pylist()
     except (OSError, ValueError, pyarrow.ArrowException) as error:
         raise InputError(
             f"sweep.file = {path}: cannot be read as Parquet ({str(error)[:100]})"

@@ -67,7 +67,7 @@ def schema(file: RunFile) -> Any:
         fields |= columns(one.column, "reference")
     for name in ("size", "single") if file["elastic"] else ():
         fields |= columns(name, "reference", "z")
-    pulled = file["drive.stage"]
+    pulled = file.pulled
     if pulled:
         fields |= {"slips": integer, **columns("period"), **columns("drop")}
     for index in range(0 if pulled else len(file["drive.programme"] or [])):
@@ -80,7 +80,7 @@ def schema(file: RunFile) -> Any:
 
 def _quantities(file: RunFile, ensemble: Ensemble) -> tuple[Quantity, ...]:
     """Quantities that friction is converted to; none of programmes without averages."""
-    programmed = file["drive.programme"] or file["drive.stage"]
+    programmed = file["drive.programme"] or file.pulled
     return () if programmed else quantities(ensemble, file.units, file.interface)
 
 
@@ -106,7 +106,7 @@ class Store:
     def __init__(self, out: Path, plan: Plan, asked: Asked) -> None:
         storage.check_folder(out)
         self.out, self.plan, file = out, plan, plan.file
-        if file["drive.programme"] is not None or file["drive.stage"] is not None:
+        if file["drive.programme"] is not None or file.pulled:
             self.kind = "programme"
         else:
             averaged = asked.transient or file["elastic"] is not None

@@ -28,7 +28,7 @@ from eqsim.errors import InputError
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.aging.base import Drift
 from eqsim.laws.barrier import BARRIERS
-from eqsim.laws.delay import DELAYS, Delay
+from eqsim.laws.delay import DELAYS, PARAMETERS, Delay
 from eqsim.laws.named import Lognormal
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.thermal import Thermal
@@ -90,13 +90,13 @@ def sample(
     """Index, ensemble and velocity of the points of a seed, all over the parameter
     space; of all points or of a `part` of them."""
     first, step = part
-    rng, laws, aging, growing, newborn = (
-        np.random.default_rng((seed, stream)) for stream in (1, 4, 3, 5, 6)
+    rng, laws, aging, growing, newborn, waits = (
+        np.random.default_rng((seed, stream)) for stream in (1, 4, 3, 5, 6, 7)
     )
     ages = aging.permutation(count) < count // 3
     others = laws.permutation(np.flatnonzero(~ages)).tolist()
     kinds = dict(zip(others, itertools.cycle(DRAWN_LAWS), strict=False))
-    barriers, delays = tuple(BARRIERS), tuple(DELAYS)
+    barriers = tuple(BARRIERS)
     for index in range(count):
         v = 10 ** rng.uniform(-4, 2)
         kT = 0.0 if index % 10 == 9 else 10 ** rng.uniform(-2, 0.5)
@@ -107,7 +107,7 @@ def sample(
         ensemble = Ensemble(
             law,
             Thermal(kT * unit**2, 1.0, barriers[index // 2 % len(barriers)]),
-            Delay(0.0, delays[int(rng.integers(len(delays)))]),
+            _drawn_delay(bool(rng.integers(2)), waits),
             stiffness_law=("sqrt", "uniform")[index // 4 % 2],
             disorder=("quenched", "annealed")[index % 2],
             eta=float(rng.choice([0.0, 10 ** rng.uniform(-2, 0) / v])),
@@ -124,8 +124,18 @@ def sample(
             continue  # before lives are sampled, which takes time
         if delay:
             time = delay * typical_life(ensemble, v * unit) / (v * unit)
-            ensemble = replace(ensemble, delay=Delay(time, ensemble.delay.law))
+            ensemble = replace(ensemble, delay=replace(ensemble.delay, time=time))
         yield index, ensemble, v * unit
+
+
+def _drawn_delay(random: bool, rng: np.random.Generator) -> Delay:
+    """A law of delays, fixed unless `random`; the delay is 0 so far."""
+    if not random:
+        return Delay()
+    law = str(rng.choice([name for name in DELAYS if name != "fixed"]))
+    name, least, most = PARAMETERS.get(law, ("", 1.0, 1.0))
+    given = {name: float(np.exp(rng.uniform(np.log(least), np.log(most))))}
+    return Delay(0.0, law, **(given if name else {}))
 
 
 def _drawn_thresholds(kind: str, unit: float, rng: np.random.Generator) -> ThresholdLaw:

@@ -249,7 +249,7 @@ def transients(point: Point, plan: Suite) -> Found:
     typical = reference(ensemble, Drive(v))
     distance = 5 * ensemble.thresholds.mean
     if point.seed % 2:
-        distance = 2 * (known(typical.travel) + v * ensemble.delay.time)
+        distance = 2 * (known(typical.travel) + v * ensemble.delay_time(v))
     whole = point.drive(distance)
     sized = _affordable(point, plan, whole, 20_000, 1e6)
     # a grid fine enough for jumps of F, whose error is that of a few cells

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from eqsim.engine.steady import Steady, steady
-from eqsim.estimate import z_score
+from eqsim.estimate import known, z_score
 from eqsim.io import terminal
 from eqsim.io.runfile import RunFile
 from eqsim.io.units import Row
 from eqsim.master.steady import Reference, reference
+from eqsim.model.drive import Drive, Programme, require_drive
 from eqsim.workflows.report import FileResult, Solved, if_any
 
 
@@ -81,12 +82,13 @@ class ReferenceResult(FileResult):
     def summary(self) -> dict[str, Any]:
         averages = {**self.exact.averages(), "f_k": self.exact.f_k}
         errors = {name: estimate.stderr for name, estimate in averages.items()}
-        divergence = self.ensemble.divergence
+        divergence, velocity = self.ensemble.divergence, self.exact.velocity
         return {
             **{name: estimate.value for name, estimate in averages.items()},
             **{"error": errors, "method": self.exact.method},
             **({"divergence": divergence} if divergence else {}),
             **self.file.physical(self.exact.friction),
+            **({"velocity": known(velocity)} if velocity else {}),
         }
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
@@ -99,6 +101,10 @@ class ReferenceResult(FileResult):
 
     def notes(self) -> Iterator[str]:
         yield f"method: {self.exact.method}"
+        if velocity := self.exact.velocity:
+            others = f", one of {len(self.exact.roots)} steady ones"
+            others *= len(self.exact.roots) > 1
+            yield f"velocity: {known(velocity):.10g}{others}"
         yield "error: bound of the numerical error; f_k: F/(N_c k), friction per pinned contact"
         if self.ensemble.divergence:
             yield self.ensemble.divergence
@@ -107,7 +113,12 @@ class ReferenceResult(FileResult):
 def simulated(file: RunFile, **settings: Any) -> SteadyResult:
     """Simulated steady averages of a run file, and the exact ones; `settings` are those
     of `steady`. Raises InputError."""
-    ensemble, drive = file.ensemble, file.constant_drive
+    ensemble, drive = file.ensemble, file.drive
+    if isinstance(drive, Programme) and drive.motor:
+        driven = reference(ensemble, drive).velocity
+        assert driven is not None
+        drive = Drive(known(driven))
+    drive = require_drive(drive)
     found = steady(ensemble, drive, seed=file.output.seed, **settings)
     variance = found.force_variance.value is not None
     exact = if_any(lambda: reference(ensemble, drive, variance=variance))
@@ -116,7 +127,7 @@ def simulated(file: RunFile, **settings: Any) -> SteadyResult:
 
 def exact(file: RunFile, variance: bool) -> ReferenceResult:
     """Exact steady averages of a run file. Raises InputError."""
-    found = reference(file.ensemble, file.constant_drive, variance=variance)
+    found = reference(file.ensemble, file.drive, variance=variance)
     return ReferenceResult(file, found)
 
 

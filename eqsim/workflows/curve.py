@@ -2,7 +2,7 @@
 columns."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 from eqsim.io import terminal
@@ -73,6 +73,4 @@ def curve(file: RunFile, *, closure: bool = False) -> CurveResult:
         if closure
         else transient(ensemble, file.drive, points)
     )
-    columns = {field.name: getattr(solved, field.name) for field in fields(solved)}
-    known = {name: column for name, column in columns.items() if column is not None}
-    return CurveResult(file, "closure" if closure else "transient", known)
+    return CurveResult(file, "closure" if closure else "transient", solved.columns())

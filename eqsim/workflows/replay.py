@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow
-from pyarrow import parquet as pq
 
 from eqsim.errors import InputError
 from eqsim.io import storage
@@ -138,12 +137,12 @@ def _replayed_table(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, Or
     known = ", ".join(f"`eqsim {name}`" for name in repeat)
     origin: Any = {}
     try:
-        table = pq.read_table(pyarrow.BufferReader(content))
+        table = storage.read_parquet(content)
         origin = json.loads((table.schema.metadata or {})[b"eqsim"])
         parts = origin["settings"], origin["versions"]
         command = origin["command"] if all(isinstance(x, dict) for x in parts) else None
         if command in repeat:
-            return table.to_pandas(), origin
+            return table.to_pandas(use_threads=False), origin
     except (*_UNREADABLE, pyarrow.ArrowException):
         command = None
     problem = "is not a Parquet file that eqsim has written, or is damaged"
@@ -225,7 +224,8 @@ def _sweep(origin: Origin, table: Table, workers: int, progress: Progress) -> Ta
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "again"
         sweep(plan, out, asked=asked, workers=Workers(workers), progress=progress)
-        again = pq.read_table(out / "sweep.parquet").to_pandas()
+        found = storage.read_parquet((out / storage.SWEEP_TABLE).read_bytes())
+        again = found.to_pandas(use_threads=False)
     old = {name: other for name, other in RENAMED_COLUMNS.items() if name in table}
     return again.rename(columns={other: name for name, other in old.items()})
 

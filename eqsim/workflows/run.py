@@ -398,5 +398,5 @@ def run(
             breaks(ensemble, drive, **draws, threads=threads) if output.breaks else None
         )
         return RunResult(file, level, simulated, listed, who)
-    kind = SliderResult if drive.stage else ProgrammeResult
+    kind = SliderResult if drive.pulled else ProgrammeResult
     return kind(file, simulated, who)

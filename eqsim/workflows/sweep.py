@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyarrow import parquet as pq
 
 from eqsim.errors import InputError, require_integer, shown
-from eqsim.io import terminal
+from eqsim.io import storage, terminal
 from eqsim.io.runfile import RunFile, at, check, copied, opened
 from eqsim.sweeps import scheduler
 from eqsim.sweeps.plan import Plan
@@ -92,7 +91,8 @@ def sweep(
         found = scheduler.sweep(
             plan, Path(folder), asked=asked, workers=Workers(workers), progress=report
         )
-        table = pq.read_table(Path(folder) / "sweep.parquet").to_pandas()
+        rows = storage.read_parquet((Path(folder) / storage.SWEEP_TABLE).read_bytes())
+        table = rows.to_pandas(use_threads=False)
     for failure in found.failures[:1]:
         first = f"the first at {failure['changes']}: {failure['message']}"
         warnings.warn(

@@ -10,6 +10,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from cases import chosen
 from command_line import call
 
 from eqsim.workflows.replay import compare
@@ -85,9 +86,8 @@ def made(tmp_path_factory):
     }
 
 
-@pytest.mark.parametrize(
-    ("kind", "threads"),
-    [("run", 2), ("sweep", 1), pytest.param("table", 2, marks=pytest.mark.long)],
+@chosen(  # a sweep is replayed by default as one of an older version
+    ("kind", "threads"), [("run", 2), ("sweep", 1), ("table", 2)], [("run", 2)]
 )
 def test_same_bits(made, kind, threads):
     done = call("replay", made[kind], "--threads", threads, "--json")

@@ -39,9 +39,9 @@ def path(tmp_path):
 
 
 def test_run_and_replay(path, tmp_path):
-    done = call("run", path, "--out", tmp_path / "out", "--json")
+    done = call("run", path, "--out", tmp_path / "out")
     assert done.exit_code == 0, done.output
-    summary = json.loads(done.stdout)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     table = pd.read_parquet(tmp_path / "out" / "trajectory.parquet")
     assert {
         "X",
@@ -67,8 +67,7 @@ def test_run_and_replay(path, tmp_path):
     assert (tmp_path / "out" / "force.png").stat().st_size > 20_000
     again = call("replay", tmp_path / "out" / "trajectory.parquet")
     assert again.exit_code == 0, again.output
-    shown = call("run", path, "--out", tmp_path / "again")
-    assert f"{len(slips)} slips" in shown.output
+    assert f"{len(slips)} slips" in done.output
 
 
 def test_avalanches(path, tmp_path):

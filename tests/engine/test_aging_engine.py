@@ -504,10 +504,7 @@ def test_paths_side_by_side_as_one_by_one(path):
 def test_steps_of_many_paths_vectorise():
     """Packed roots and products of doubles in loops over paths; there are none where a
     path is alone."""
-    ensemble = Ensemble(
-        thermal=Thermal(0.1, 1.0, "stiff"), aging=Aging("langevin", 0.1, 2.0)
-    )
-    c, stream = pinned(contacts(ensemble, 1.0), 1.0), key(0, 0)
+    c, stream = pinned(contacts(ensemble_of(PATHS[4]), 1.0), 1.0), key(0, 0)
     paths = Paths(np.arange(3), np.arange(3), *np.ones((4, 3)))
     walk_all(c, stream, STEP, paths, Walkers.empty())
     follow(c, Path(stream, 0, 0, 0, 1.0, 0.0, 1.0), math.inf, STEP)

@@ -1,6 +1,8 @@
 """Tables as CSV: what they hold, what their comments say, and where they are written."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pandas as pd
@@ -17,6 +19,26 @@ from eqsim.io.export import meaning
 from eqsim.io.runfile import check
 from eqsim.io.tables import read_drive
 
+THREADS = """
+import os, sys
+from pathlib import Path
+import eqsim
+from eqsim.io.export import as_csv
+from eqsim.io.runfile import check
+from eqsim.sweeps.plan import Plan
+from eqsim.workflows.replay import _REPEAT, _replayed_table
+file, out, rows = map(Path, sys.argv[1:])
+readers = {
+    "export": lambda: as_csv([out / "sweep.parquet"]),
+    "plan": lambda: Plan(check({"sweep": {"file": str(rows)}})),
+    "sweep": lambda: eqsim.sweep(file, out=out, workers=1, progress=False),
+    "replay": lambda: _replayed_table(out / "sweep.parquet", _REPEAT),
+}
+for name, read in readers.items():
+    before = os.listdir("/proc/self/task")
+    read()
+    assert os.listdir("/proc/self/task") == before, name
+"""
 RUN = """title = "small # not a comment"
 [contacts]
 count = 100
@@ -91,6 +113,16 @@ def test_an_export_is_a_drive_and_a_record(made, tmp_path):
         list(table["t"]),
         list(table["force"]),
     )
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads are listed in /proc")
+def test_tables_are_read_without_threads(made, tmp_path):
+    """A process that ends while those of pyarrow start is aborted."""
+    pd.DataFrame({"drive.velocity": [0.1, 1.0]}).to_parquet(tmp_path / "rows.parquet")
+    given = (made / "a.toml", made / "swept", tmp_path / "rows.parquet")
+    command = [sys.executable, "-c", THREADS, *map(str, given)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("path", ["swept", "swept/sweep.parquet"])

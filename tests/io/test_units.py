@@ -276,6 +276,8 @@ def test_programmes_show_coefficients(run_file):
         programme,
         "--set",
         "interface.normal_stress=1e-3",
+        "--set",
+        "output.points=21",
         "--out",
         path.parent / "p",
     ]

@@ -112,9 +112,8 @@ def test_residual_draws(law):
     [
         ({"time": -1.0}, "time = -1.0: must be a finite number >= 0"),
         ({"time": float("nan")}, "time = nan"),
-        ({"time": float("inf")}, "time = inf"),
+        ({"time": -float("inf")}, "time = -inf"),
         ({"time": "1"}, "time = '1'"),
-        ({"law": "gamma"}, 'law = \'gamma\': must be one of "fixed", "exponential"'),
     ],
 )
 def test_bad_delay(arguments, message):

@@ -215,8 +215,15 @@ def test_errors_cover_a_refined_result(monkeypatch):
         assert abs(m.work - fine.work) < m.work_error + 2e-14 * m.work
 
 
-@chosen(("final", "law"), itertools.product((0.5, 10.0), LAWS), [(0.5, LAWS[3])])
-def test_survivors(final, law):
+AGED = [(0.3, 2.0, 1.0), (30.0, 12.0, 0.1), (1e8, 10.0, 1e3)]  # b, ln w, D
+
+
+@chosen(
+    ("final", "law", "aged"),
+    itertools.product((0.5, 10.0), LAWS, AGED),
+    [(0.5, LAWS[3], AGED[0]), (0.5, LAWS[3], AGED[2])],
+)
+def test_survivors(final, law, aged):
     """Splined in ln x they integrate to the stationary moments: two methods that share
     the rate alone. Without aging they are those of a contact whose hazard has a closed
     form."""
@@ -224,17 +231,17 @@ def test_survivors(final, law):
     x = np.exp(
         np.arange(math.log(7.5 * max(1.0, final)), math.log(1e-15), -0.015)[::-1]
     )
-    for b, log_w, alpha in [(0.3, 2.0, 1.0), (30.0, 12.0, 0.1), (1e8, 10.0, 1e3)]:
-        case = LAW, stiffness, barrier, b, log_w, final, alpha
-        values, m = survivor_moments(contacts(*case), x)[0], aged_of(*case)
-        for power, moment in enumerate((m.stretch, m.work)):
-            total = CubicSpline(np.log(x), values[power] * x ** (power + 1)).integrate(
-                math.log(x[0]), math.log(x[-1])
-            )
-            # 1e-8 of each value, and of a cubic spline with this step 2e-8
-            assert total == pytest.approx(moment, rel=3e-8, abs=0)
-        assert np.all(np.diff(values[0]) < 1e-8)
-        assert values[0][0] == pytest.approx(1.0, abs=1e-8)
+    b, log_w, alpha = aged
+    case = LAW, stiffness, barrier, b, log_w, final, alpha
+    values, m = survivor_moments(contacts(*case), x)[0], aged_of(*case)
+    for power, moment in enumerate((m.stretch, m.work)):
+        total = CubicSpline(np.log(x), values[power] * x ** (power + 1)).integrate(
+            math.log(x[0]), math.log(x[-1])
+        )
+        # 1e-8 of each value, and of a cubic spline with this step 2e-8
+        assert total == pytest.approx(moment, rel=3e-8, abs=0)
+    assert np.all(np.diff(values[0]) < 1e-8)
+    assert values[0][0] == pytest.approx(1.0, abs=1e-8)
 
 
 @pytest.mark.parametrize("barrier", ["soft", "stiff"])

@@ -410,9 +410,6 @@ import os, signal, sys
 from pathlib import Path
 from eqsim.io import storage
 
-out, turn = Path(sys.argv[1]), int(sys.argv[2])
-left = [turn]
-
 def deadly(call):
     def dies(*args, **kwargs):
         left[0] -= 1
@@ -421,16 +418,29 @@ def deadly(call):
         return call(*args, **kwargs)
     return dies
 
-for name in ("fsync", "replace", "mkdir", "rmdir", "unlink", "open", "close"):
-    setattr(os, name, deadly(getattr(os, name)))
-storage.publish(out, {"a": b"new a", "b": b"new b"})
-storage.save(out / "c", b"new c")
+def write(out):
+    for name in ("fsync", "replace", "mkdir", "rmdir", "unlink", "open", "close"):
+        setattr(os, name, deadly(getattr(os, name)))
+    storage.publish(out, {"a": b"new a", "b": b"new b"})
+    storage.save(out / "c", b"new c")
+    os._exit(0)
+
+for line in sys.stdin:
+    left, out = [int(line)], sys.stdin.readline().strip()
+    process = os.fork() or write(Path(out))
+    print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
 """
 
 
 def test_killed_at_every_step_of_writing(tmp_path):
     """A file has its old content or its new one, whichever call to the system was the
     last, and a repeat works."""
+    writer = subprocess.Popen(
+        [sys.executable, "-c", DIES],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     kills = 0
     for turn, known in itertools.product(range(200), (False, True)):
         out = tmp_path / f"{turn} {known}"
@@ -438,12 +448,8 @@ def test_killed_at_every_step_of_writing(tmp_path):
         if known:
             for name in "abc":
                 (out / name).write_text(f"old {name}")
-        pid = os.posix_spawn(
-            sys.executable,
-            [sys.executable, "-c", DIES, str(out), str(turn)],
-            os.environ,
-        )
-        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        print(f"{turn}\n{out}", file=writer.stdin, flush=True)
+        code = int(writer.stdout.readline())
         found = {
             path.name: path.read_text()
             for path in out.iterdir()
@@ -459,6 +465,7 @@ def test_killed_at_every_step_of_writing(tmp_path):
         kills += 1
         storage.publish(out, {"a": b"again", "b": b"again"})
         assert {(out / name).read_text() for name in "ab"} == {"again"}
+    writer.communicate()
     assert kills > 16
 
 

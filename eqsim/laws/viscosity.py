@@ -1,0 +1,48 @@
+"""Drag of a detached contact (section V of Braun and Peyrard, 2011)."""
+
+import math
+from dataclasses import dataclass
+
+from eqsim.errors import NOT_NEGATIVE, POSITIVE, require_number
+
+
+@dataclass(frozen=True)
+class Viscosity:
+    """How the drag of a detached contact depends on the velocity,
+
+        f_l = force + eta v (v/velocity)^(exponent - 1),
+
+    with eta that of the ensemble (the published f_l = eta v, where eta may depend on
+    the velocity, for example as v^4: then the exponent is 5). It acts against the
+    motion, and vanishes in a hold.
+
+    Raises InputError for a value out of range.
+
+    Parameters
+    ----------
+    force : float
+        Constant drag (force).
+    exponent : float
+        From 0 to 10.
+    velocity : float
+        Velocity (length/time) at which the second term is eta v whatever the exponent.
+
+    Examples
+    --------
+    >>> round(Viscosity(exponent=5.0).factor(2.0), 9)
+    16.0
+    """
+
+    force: float = 0.0
+    exponent: float = 1.0
+    velocity: float = 1.0
+
+    def __post_init__(self) -> None:
+        require_number("force", self.force, **NOT_NEGATIVE)
+        require_number("exponent", self.exponent, least=0.0, most=10.0)
+        require_number("velocity", self.velocity, **POSITIVE)
+
+    def factor(self, v: float) -> float:
+        """(v/velocity)^(exponent - 1)."""
+        logs = math.log(v) - math.log(self.velocity)
+        return math.exp(min((self.exponent - 1.0) * logs, 700.0))  # no overflow

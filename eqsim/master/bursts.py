@@ -1,0 +1,180 @@
+"""Bursts of infinitely many contacts that share a force which is raised infinitely
+slowly, at T = 0 and without re-attachment (Hemmer, Hansen, J. Appl. Mech. 59, 909,
+1992).
+
+At a stretch x the break of a contact leaves its force to those that are left, of which
+
+    a = x q/(1 - Q),    Q(x) = E[k_i; xi < x]/E[k_i],    q = dQ/dx,
+
+more break in the mean. Contacts of uniform stiffness have Q = P; with the sqrt law k_i
+is in proportion to xi (derived: all that break at x have the same stiffness, so that
+nothing else is different). A burst of s breaks follows with the probability of Borel's
+law, and begins at a break with the probability 1 - a:
+
+    D(s)/N = s^{s-1}/s! int_0^{x_c} a^{s-1} e^{-s a} (1 - a) p dx,    a(x_c) = 1.
+
+At x_c the force k x (1 - Q) has its maximum, and all that are left break at once.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import special
+
+from eqsim.errors import InputError
+from eqsim.laws.threshold import ThresholdLaw
+from eqsim.model.ensemble import Ensemble
+from eqsim.numerics.quadrature import gauss_legendre
+from eqsim.numerics.roots import bisected
+from eqsim.numerics.tables import Array
+from eqsim.results import Drawn, Result
+
+# Octaves of e = -ln P(xi > x), and of its distance to the last one: what is beyond them
+# is below rounding.
+_OCTAVES = 2.0 ** np.arange(-52.0, 0.0)
+# Largest e at which a bundle may still hold.
+_LARGEST_E = 300.0
+# Share of contacts beyond a kink that plays no part.
+_RAREST = 1e-300
+# s from which Stirling's series misses ln s! by less than 1e-16.
+_SERIES_FROM = 100.0
+# Largest number of sizes, to bound memory.
+_MOST_SIZES = 100_000
+
+
+@dataclass(frozen=True, repr=False)
+class Bursts(Result):
+    """Bursts of a bundle.
+
+    Attributes
+    ----------
+    size : ndarray
+        Numbers s of breaks, shape (sizes,).
+    number : ndarray
+        D(s)/N, bursts of that size over the number of contacts, to 1e-10.
+    stretch : float
+        x_c (length), at which the bundle lets go.
+    strength : float
+        Largest force F/(N k) (length).
+    last : float
+        Share of all contacts that the last burst breaks.
+    """
+
+    drawn: ClassVar[Drawn] = Drawn(
+        "size", "number", "", "breaks of a burst  s", "bursts over contacts  D/N", True
+    )
+    size: Array
+    number: Array
+    stretch: float
+    strength: float
+    last: float
+
+
+def bursts(ensemble: Ensemble, sizes: ArrayLike) -> Bursts:
+    """Solve for the numbers of bursts of a bundle whose force is raised infinitely
+    slowly, by quadrature. All contacts are pinned and unstretched at first, break at
+    their thresholds (T = 0) and are not pinned again; those left share the force by
+    their stiffness. Hemmer and Hansen (1992) found for infinitely many contacts
+
+        D(s)/N = s^{s-1}/s! int_0^{x_c} a^{s-1} e^{-s a} (1 - a) p dx,
+
+    a = x p/(1 - P) for uniform stiffness; with the sqrt law p and P are those of a
+    stiffness-weighted threshold there (derived).
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+        Its law of thresholds and of stiffness; delay and aging play no part.
+    sizes : array_like, shape (sizes,)
+        Whole numbers >= 1; by default 1 to 1000 of a run file.
+
+    Returns
+    -------
+    Bursts
+
+    Raises
+    ------
+    InputError
+        For a temperature above 0, a law of finitely many thresholds (its bursts are of
+        the order of N), and sizes that are no whole numbers >= 1.
+
+    Examples
+    --------
+    >>> from eqsim import Ensemble, Weibull, bursts
+    >>> found = bursts(Ensemble(Weibull(2.0, 1.0), stiffness_law="uniform"), [1, 2, 10])
+    >>> [f"{number:.9f}" for number in found.number]
+    ['0.160695591', '0.027820240', '0.000449469']
+    """
+    law, weighted = ensemble.thresholds, ensemble.stiffness_law == "sqrt"
+    s = np.asarray(sizes, float)
+    if s.ndim != 1 or not 0 < s.size <= _MOST_SIZES or np.any((s < 1) | (s % 1 != 0)):
+        raise InputError(f"sizes: must be 1 to {_MOST_SIZES} whole numbers >= 1")
+    if ensemble.thermal.kT > 0:
+        said = "must be 0; heat breaks all contacts of a bundle that waits long enough"
+        raise InputError(f"thermal.kT = {ensemble.thermal.kT:g}: {said}")
+    if law.steps.size:
+        said = "must have a density: as many as have one threshold break at once"
+        raise InputError(f"thresholds = {law!r}: {said}")
+    end = _end_of(law, weighted)
+    edges = np.concatenate(([0.0], _OCTAVES, 1.0 - _OCTAVES[-2::-1], [1.0])) * end
+    kinks = -np.log(np.maximum(law.sf(law.kinks), _RAREST))
+    edges = np.union1d(edges, kinks[(kinks > 0.0) & (kinks < end)])
+    e, weight = map(np.ravel, gauss_legendre(16).between(edges[:-1], edges[1:]))
+    a = _followers(law, e, weighted)
+    begun = weight * np.exp(-e) * (1.0 - a)
+    number = [np.sum(begun * _borel(size, a)) for size in s]
+    stretch = float(law.inverse_survival(end))
+    held = float(_mean_stiffness(law, np.array([end]), weighted)[0])
+    left = math.exp(-end)
+    return Bursts(s, np.array(number), stretch, stretch * held * left, left)
+
+
+def _borel(s: float, a: Array) -> Array:
+    """s times Borel's law of mean number of followers `a`, s^{s-1}/s! a^{s-1} e^{-s a}
+    (shape of `a`); Stirling's series has the rest of s! to rounding."""
+    rest = 1.0 / s / 12.0 - 1.0 / s**3 / 360.0 + 1.0 / s**5 / 1260.0
+    if s < _SERIES_FROM:
+        rest = special.gammaln(s + 1.0) - s * math.log(s / math.e)
+        rest -= 0.5 * math.log(2.0 * math.pi * s)
+    power = special.xlogy(s - 1.0, a) - s * (a - 1.0)
+    return np.asarray(np.exp(power - rest) / (s * math.sqrt(2.0 * math.pi * s)))
+
+
+def _mean_stiffness(law: ThresholdLaw, e: Array, weighted: bool) -> Array:
+    """Mean k_i/k of the contacts that are left at e = -ln P(xi > x), shape (n,)."""
+    if not weighted:
+        return np.ones(e.size)
+    ahead = 2.0 ** np.arange(-52.0, 8.0)
+    t, weight = map(np.ravel, gauss_legendre(12).between(ahead[:-1], ahead[1:]))
+    xi = law.inverse_survival(e[:, None] + t)
+    return np.asarray(xi @ (weight * np.exp(-t))) / law.rms
+
+
+def _followers(law: ThresholdLaw, e: Array, weighted: bool) -> Array:
+    """Mean number a of breaks that follow from one at e = -ln P(xi > x), shape (n,)."""
+    x = np.asarray(law.inverse_survival(e))
+    a = x * law.pdf(x) * np.exp(e)
+    if weighted:
+        a *= x / law.rms / _mean_stiffness(law, e, True)
+    return np.asarray(a)
+
+
+def _end_of(law: ThresholdLaw, weighted: bool) -> float:
+    """e = -ln P(xi > x_c), where a = 1; 0 if the first break is the last burst. Raises
+    InputError where a falls again to less than 1."""
+    e = np.geomspace(_OCTAVES[0], _LARGEST_E, 600)
+    above = _followers(law, e, weighted) > 1.0
+    if np.any(np.diff(above.astype(int)) < 0) or not above[-1]:
+        said = "must have a load of all contacts, x P(xi > x), with one maximum"
+        raise InputError(f"thresholds = {law!r}: {said}")
+    first = int(np.argmax(above))
+    if first == 0:
+        return 0.0
+
+    def below(middle: Array) -> Array:
+        return _followers(law, middle, weighted) <= 1.0
+
+    return float(bisected(below, e[first - 1 : first], e[first : first + 1], 60)[0][0])
