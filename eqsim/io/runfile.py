@@ -37,7 +37,7 @@ from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.named import law_of, threshold_parameters
 from eqsim.laws.newborn import LAWS, Newborn
-from eqsim.laws.thermal import Thermal
+from eqsim.laws.thermal import Pathway, Thermal
 from eqsim.laws.threshold import Table, ThresholdLaw
 from eqsim.laws.viscosity import Viscosity
 from eqsim.model.drive import Drive, Output, Programme, Segment, Stage, require_drive
@@ -113,9 +113,11 @@ class RunFile(Listed):
         """The units of its numbers. Raises InputError."""
         law, varied = self["thresholds.law"], repr((self.sweep, self.fit))
         x_star = threshold_parameters(law).get("x_star") if law != "table" else None
+        bond = self["thermal.off_rate"] is not None or self["thermal.slip"]
+        omega = None if bond else self["thermal.attempt_frequency"]
         keys = {
             "x_*": ("x_star", self["thresholds.x_star"] or x_star),
-            "omega": ("attempt_frequency", self["thermal.attempt_frequency"]),
+            "omega": ("attempt_frequency", omega),
             "k": ("stiffness", self["contacts.stiffness"]),
         }
         natural = tuple(
@@ -181,6 +183,8 @@ class RunFile(Listed):
         InputError."""
         disorder, eta = self["disorder"], self["viscosity.eta"]
         heat = {k: v for k, v in self["thermal"].items() if k != "temperature"}
+        for name in ("catch", "slip"):
+            heat[name] = heat[name] and Pathway(**heat[name])
         with under("thermal"):
             thermal = Thermal(**heat)
         delay = self._section(Delay, "delay")
@@ -200,17 +204,18 @@ class RunFile(Listed):
         with under("newborn"):
             newborn.check(law, disorder, aging.active)
         with under("contacts"):
-            return Ensemble(
-                law,
-                thermal,
-                delay,
-                aging,
-                disorder=disorder,
-                eta=eta,
-                newborn=newborn,
-                viscosity=viscosity,
-                **self["contacts"],
-            )
+            Ensemble(**self["contacts"])
+        return Ensemble(
+            law,
+            thermal,
+            delay,
+            aging,
+            disorder=disorder,
+            eta=eta,
+            newborn=newborn,
+            viscosity=viscosity,
+            **self["contacts"],
+        )
 
     def _threshold_law(self) -> ThresholdLaw:
         known = self.settings["thresholds"]
@@ -296,7 +301,7 @@ class RunFile(Listed):
             elif alone:
                 distance, time = given["distance"], given["time"]
                 if distance is None and time is None and not pulls:
-                    distance = 200.0 * self._threshold_law().mean
+                    distance = 200.0 * self.ensemble.thresholds.mean
                 segments = [Segment(given["velocity"] or 0.0, distance, time, **pulls)]
             for index, section in enumerate(programme or []):
                 with under(f"programme.{index}"):
@@ -556,10 +561,8 @@ _PARAMETERS: dict[str, type] = {
     for name, key in schema.KEYS.items()
     if key.kind in (float, int, str)
     and name != "title"
-    and not name.startswith(
-        ("elastic.", "units.", "interface.", "drive.programme.", "drive.stage.")
-    )
-    and not name.startswith("population.")
+    and not name.startswith(("units.", "interface.", "drive.programme.", "population."))
+    and name.rpartition(".")[0] not in schema.OPTIONAL
 }
 # Likewise of a population.
 _OF_POPULATION: dict[str, type] = {
@@ -567,17 +570,23 @@ _OF_POPULATION: dict[str, type] = {
     for name, key in schema.KEYS.items()
     if name.partition(".")[0] in ("population", *schema.OF_POPULATION)
 }
+# Keys that count where they have a value, as those of optional sections do: points of
+# sweeps keep their names.
+_WHERE_GIVEN = ("thermal.off_rate", "thermal.force_scale")
 
 
 def keys(file: RunFile | None = None) -> dict[str, type]:
     """Every `section.key` (or top-level key) but `title`, `sweep`, `units` and
     `interface`, and the type of its values: float, int or str. Given a `file`, also
-    those that its programme, stage, coupled blocks or populations have, such as
+    those that its programme, stage, coupled blocks, pathways or populations have, as
     drive.programme.1.hold."""
     known = dict(_PARAMETERS)
     if file is None:
         return known
-    for section in ("elastic", "drive.stage"):
+    for name in _WHERE_GIVEN:
+        if file[name] is None:
+            del known[name]
+    for section in schema.OPTIONAL:
         if file[section]:
             below = schema.keys_of(section).items()
             known |= {f"{section}.{name}": key.kind for name, key in below}

@@ -11,6 +11,7 @@ from scipy import constants
 from eqsim.catalogue import ENERGY, FORCE, STRESS, Dimension, dimension, product
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, shown
 from eqsim.estimate import OBSERVABLES, Averages, Estimate
+from eqsim.laws.barrier import BARRIERS
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.groups import Group
 
@@ -303,7 +304,7 @@ def scales(ensemble: Ensemble, units: Units, interface: Interface) -> list[Group
             group(f"{of}x_*", "length", scale, "scale of thresholds, a length")
         )
         found.append(group(f"{of}k", "force/length", k, "stiffness of a contact"))
-        if kelvin is not None:
+        if kelvin is not None and not BARRIERS[alone.thermal.barrier].by_force:
             said = "temperature, kT over the constant of Boltzmann"
             found.append(Group(f"{of}T (K)", kelvin, said))
     if interface:

@@ -32,6 +32,7 @@ from scipy.interpolate import CubicSpline
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import known
 from eqsim.laws.delay import Exponential, Fixed
+from eqsim.laws.no_thresholds import has_jumps
 from eqsim.master import programme, slider
 from eqsim.master.profile import Profile, profile_of
 from eqsim.master.programme import Transient as Transient
@@ -203,7 +204,7 @@ class Cells(NamedTuple):
 def cells_of(contacts: Reduced, distance: float, points: int) -> Cells:
     """Cells that resolve the lives of contacts, and those in step as far as
     possible."""
-    discrete = contacts.law.steps.size > 0
+    discrete = has_jumps(contacts.law)
     least = min(max(distance / _CELL_PER_THRESHOLD, _LEAST_CELLS), _MOST_CELLS)
     finest = _FINEST
     if discrete:  # every threshold takes time in every cell

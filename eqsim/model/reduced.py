@@ -7,6 +7,9 @@ energy in units of kT. What a key of a run file is called afterwards, and where:
 
     thermal.kT                 b         k x_*^2/(2 kT)         barrier, `Ensemble.b`
     thermal.attempt_frequency  log_w     ln(omega x_*/v)        barrier
+    thermal.force_scale        b         k x_*/f_b              barrier
+    thermal.off_rate           log_w     ln(k_0 x_*/v)          barrier
+    thermal.catch, .slip       the same, and ratios             `CatchSlip`
     aging.rate                 alpha     4 D x_*/(v x_*f^2)     aging, `Aging.alpha`
     aging.x_star_final         final2    (x_*f/x_*)^2           aging
     aging.cutoff_time          per_time  x_*/(v t_c)            aging
@@ -29,7 +32,9 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, under
 from eqsim.laws.aging import AgingLaw, Unaged
@@ -37,14 +42,19 @@ from eqsim.laws.barrier import BARRIERS, Barrier, Mechanical
 from eqsim.laws.barrier.base import require_whole
 from eqsim.laws.delay import Delay, DelayLaw
 from eqsim.laws.newborn import Newborn
+from eqsim.laws.no_thresholds import BEYOND, NoThresholds
 from eqsim.laws.stiffness import Springs, StiffnessLaw
 from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.laws.viscosity import Viscosity
 from eqsim.model.drive import Programme
 from eqsim.model.ensemble import Ensemble
 
+# Hazard that no contact outlives.
+_SPENT = 100.0
 # b below which the barrier is 0.
 _LEAST_B = 1e-100
+# b up to which rates that rise to exp(`laws.barrier.bell.MOST`) break all bonds.
+_MOST_OVER_FORCE = 1e80
 # b above which a pooled hazard would be made of differences between neighbouring
 # numbers.
 _LARGEST_POOLED_B = 1e15
@@ -130,6 +140,8 @@ def reduced(
     law, aging = births(ensemble, velocity, mean_stretch), ensemble.aging
     unit, newborn = law.scale, law is ensemble.thresholds
     barrier = _barrier(ensemble, velocity, unit)
+    if isinstance(law, NoThresholds):
+        _check_unlimited(law, barrier)
     annealed = ensemble.disorder == "annealed"
     return Reduced(
         law=law,
@@ -330,27 +342,42 @@ def drag_of(ensemble: Ensemble, velocity: float) -> float:
     return drag
 
 
+def _check_unlimited(law: NoThresholds, barrier: Barrier) -> None:
+    """Raise InputError unless contacts without thresholds break within what stands for
+    an infinite one."""
+    if not barrier.thermal:
+        raise InputError(
+            'thresholds.law = "none": needs a rate > 0 that breaks contacts'
+        )
+    if barrier.whole_hazard(np.array([BEYOND]), np.ones(1))[0] < _SPENT:
+        said = f"contacts outlive {BEYOND:g} of it; give about velocity/rate"
+        raise InputError(f"thresholds.x_star = {law.scale:g}: {said}")
+
+
 def _barrier(ensemble: Ensemble, velocity: float, unit: float) -> Barrier:
     """The barrier, or none where heat breaks contacts too rarely to change any average
     by 1e-10. Raises InputError for annealed contacts if it does and b is beyond 1e15.
     """
-    thermal, b = ensemble.thermal, ensemble.b
-    law = BARRIERS[thermal.barrier]
-    if thermal.attempt_frequency == 0 or math.isinf(b):
+    thermal = ensemble.thermal
+    law: Any = BARRIERS[thermal.barrier]
+    b, rate, *others = law.numbers(thermal, ensemble.stiffness, unit)
+    if rate == 0 or math.isinf(b):
         return Mechanical()
+    if law.by_force:
+        require_number(law.b_words, b, least=0.0, most=_MOST_OVER_FORCE)
     if ensemble.disorder == "quenched":
         if b >= law.flat_out:
             return Mechanical()
     elif b > _LARGEST_POOLED_B:
         # a life's hazard is below attempts/b
-        if thermal.attempt_frequency / velocity * unit < 1e-11 * b:
+        if rate / velocity * unit < 1e-11 * b and not law.by_force:
             return Mechanical()
         said = f"must be <= {_LARGEST_POOLED_B:g} for annealed contacts"
-        raise InputError(f"k x_*^2/(2 kT) = {b:.3g}: {said}")
-    log_w = math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
-    name = "ln(attempt_frequency * threshold / velocity)"
+        raise InputError(f"{law.b_words} = {b:.3g}: {said}")
+    log_w = math.log(rate) + math.log(unit) - math.log(velocity)
+    name = f"ln({law.keys[1]} * threshold / velocity)"
     require_number(name, log_w, least=-230, most=230)
-    # every law is a NamedTuple of these two
-    barrier: Barrier = law(max(b, _LEAST_B), log_w)  # type: ignore[call-arg]
+    # every law is a NamedTuple that begins with these two
+    barrier: Barrier = law(max(b, _LEAST_B), log_w, *others)
     require_whole(thermal.barrier, barrier)
     return barrier

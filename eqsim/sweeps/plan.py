@@ -12,6 +12,7 @@ import pyarrow
 
 from eqsim.errors import InputError, require_integer, require_number, shown, under
 from eqsim.io.runfile import RunFile, at, keys, parameters, path_of
+from eqsim.io.schema import OPTIONAL
 from eqsim.io.storage import read_parquet
 from eqsim.laws.threshold import Table
 from eqsim.model.ensemble import Ensemble
@@ -20,7 +21,7 @@ from eqsim.sweeps.rows import Task
 
 MOST_POINTS = 1_000_000
 # Beginnings of keys that only some run files have.
-_IN_FILES = ("drive.programme", "drive.stage", "population")
+_IN_FILES = ("drive.programme", "population", *OPTIONAL)
 
 
 class Plan:

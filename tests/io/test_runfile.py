@@ -61,8 +61,7 @@ def test_every_key_is_in_the_catalogue():
     }
     for name, kind in sections.items():
         given = {field.name for field in dataclasses.fields(kind)} - {
-            "elastic",
-            "natural",
+            *("elastic", "natural", "catch", "slip"),
         }
         if name == "population":
             given -= set(schema.OF_POPULATION)
@@ -148,7 +147,7 @@ BAD = [
     ),
     (
         {"thresholds": {"law": "weird"}},
-        'thresholds.law = \'weird\': must be "gamma", "delta", "lognormal", ',
+        'thresholds.law = \'weird\': must be "gamma", "delta", "none", "lognormal", ',
     ),
     (
         {"thermal": {"kT": float("nan")}},
