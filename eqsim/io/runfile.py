@@ -392,7 +392,7 @@ def _population(file: RunFile, index: int) -> RunFile:
             _without_alternatives(
                 data, {f"{name}.{key}": x for key, x in given.items()}
             )
-            alone = given.keys() & {"law", "rule"}
+            alone = given.keys() & {"law", "rule", "barrier"}
             data[name] = given if alone else data.get(name, {}) | given
     return check(data, file.folder)
 
@@ -562,12 +562,6 @@ _PARAMETERS: dict[str, type] = {
     and not name.startswith(("units.", "interface.", "drive.programme.", "population."))
     and name.rpartition(".")[0] not in schema.OPTIONAL
 }
-# Likewise of a population.
-_OF_POPULATION: dict[str, type] = {
-    name.removeprefix("population."): key.kind
-    for name, key in schema.KEYS.items()
-    if name.partition(".")[0] in ("population", *schema.OF_POPULATION)
-}
 
 
 def keys(file: RunFile | None = None) -> dict[str, type]:
@@ -583,7 +577,13 @@ def keys(file: RunFile | None = None) -> dict[str, type]:
             below = schema.keys_of(section).items()
             known |= {f"{section}.{name}": key.kind for name, key in below}
     for index in range(len(file["population"] or [])):
-        known |= {f"population.{index}.{n}": kind for n, kind in _OF_POPULATION.items()}
+        above, alone = f"population.{index}.", keys(_population(file, index))
+        known |= {f"{above}share": float, f"{above}stiffness": float}
+        known |= {
+            above + name: kind
+            for name, kind in alone.items()
+            if name.partition(".")[0] in schema.OF_POPULATION
+        }
     kinds = {n: key.kind for n, key in schema.keys_of("drive.programme").items()}
     for index, segment in enumerate(file["drive.programme"] or []):
         given = (name for name, value in segment.items() if value is not None)
