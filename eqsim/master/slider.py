@@ -507,6 +507,8 @@ def task_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> PulledTask:
     stage, pull = programme.stage, pull_of(ensemble, programme)
     contacts, course = course_of(ensemble, programme)
     unit, time = ensemble.thresholds.scale, float(grid.t[-1])
+    if programme.rebinding == "shared":
+        raise InputError('drive.rebinding = "shared": has no mean field')
     spring = Spring(
         stiffness=0.0,
         damping=0.0,

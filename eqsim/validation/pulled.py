@@ -22,15 +22,16 @@ import numpy as np
 
 from eqsim.engine.records import SliderTrajectory
 from eqsim.engine.trajectory import trajectory
-from eqsim.estimate import Estimate
+from eqsim.estimate import Estimate, known, mean_of
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.no_thresholds import NoThresholds
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.laws.thermal import Thermal
-from eqsim.laws.threshold import ThresholdLaw
+from eqsim.laws.threshold import Delta, ThresholdLaw
 from eqsim.master.avalanche_sizes import load_of, missed_by_few, size_law
+from eqsim.master.lifetimes import lifetime
 from eqsim.model.drive import Programme, Segment, Stage
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.quadrature import gauss_legendre
@@ -60,6 +61,8 @@ _GAPS = 1e-4
 _CARRYING = 400
 # Replicas of a single contact, pinned or not, for their mean to be about normal.
 _REPLICAS_OF_ONE = 50
+# Clusters whose mean lifetime is compared.
+_CLUSTERS = 2000
 # Contacts behind a spring that is all but rigid.
 _RIGID = 100
 
@@ -73,6 +76,7 @@ def compare_pulled(point: Point, plan: Suite) -> Found:
         pieces: warm and number % 13 == 10,
         steps: number % 13 == 7,
         avalanches: number % 7 == 3,
+        lifetimes: warm and number % 9 == 1,
     }
     chosen = (compare for compare, wanted in asked.items() if wanted)
     return [one for compare in chosen for one in compare(point, plan)]
@@ -366,4 +370,33 @@ def avalanches(point: Point, plan: Suite) -> Found:
     return scores
 
 
-PULLED_KINDS = (*holds.kinds, *pieces.kinds, *steps.kinds, *avalanches.kinds)
+# ------------------------------------------------------------------------------- creep
+
+
+@compares("lifetime")
+def lifetimes(point: Point, plan: Suite) -> Found:
+    """The mean lifetime of a cluster of 1 to 10 contacts with equal thresholds, without
+    re-attachment, under a constant force, against the chain of their breaks."""
+    rng, law = point.rng(10), Delta(point.ensemble.thresholds.mean)
+    count = int(rng.choice([1, 2, 5, 10]))
+    force = float(f"{rng.uniform(0.2, 0.8) * law.x_star:.4g}")
+    cluster, shown = (
+        replace(_bare(one, count, Delay(math.inf)), thresholds=law)
+        for one in (point.ensemble, point.shown)
+    )
+    exact = lifetime(cluster, Programme((Segment(force=force, time=1.0),)), points=2)
+    mean = known(exact.mean)
+    if not 0.0 < mean < _LONGEST_HOLD:
+        raise LeftOut("few contacts")
+    creep = Programme((Segment(force=force, time=float(f"{50.0 * mean:.4g}")),))
+    run = trajectory(shown, creep, points=2, seed=point.stream(10), replicas=_CLUSTERS)
+    assert isinstance(run, SliderTrajectory)
+    point = point._replace(ensemble=cluster, contacts=count, time=run.t[-1])
+    ours = mean_of(run.lifetimes, _CLUSTERS, _CLUSTERS - 1)
+    return [point.score("lifetime", ours, exact.mean)]
+
+
+PULLED_KINDS = (
+    *(*holds.kinds, *pieces.kinds, *steps.kinds, *avalanches.kinds),
+    *lifetimes.kinds,
+)
