@@ -28,10 +28,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.progress import track
 
-import eqsim
 from eqsim import (
     Delay,
     Ensemble,
+    NoThresholds,
     Programme,
     Segment,
     Stage,
@@ -120,7 +120,7 @@ def by_events(
     """The same by eqsim, event by event. Its forces are over N k, lengths."""
     begin = time.perf_counter()
     bonds = Ensemble(
-        eqsim.NoThresholds(),
+        NoThresholds(),
         Thermal(
             barrier="bell", off_rate=clutch.off_rate, force_scale=clutch.force_scale
         ),

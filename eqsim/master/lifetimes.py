@@ -111,38 +111,39 @@ def chain_of(ensemble: Ensemble, drive: Programme) -> Chain:
     """Rates per time. Raises InputError as `lifetime` does."""
     law, delay, N = ensemble.thresholds, ensemble.delay, ensemble.count
     require_integer("contacts.count", N, 1, 100_000)
-    again, force = not math.isinf(delay.time), None
-    if isinstance(drive, Programme) and len(drive.segments) == 1:
-        force = drive.segments[0].force or 0.0 if drive.forced else None
-    random = delay.law == "exponential" and delay.time > 0.0
+    contacts = reduced(ensemble, law.scale)  # whose time is the user's
+    tau, segment = contacts.delay.mean, None
+    if isinstance(drive, Programme) and drive.forced and len(drive.segments) == 1:
+        segment = drive.segments[0]
+    force = segment.force or 0.0 if segment else -1.0
+    if segment is None or segment.force_rate or force < 0.0:
+        raise InputError("drive.force: must be given, constant and >= 0")
+    again, random = tau < math.inf, delay.law == "exponential" and tau > 0.0
+    drags = ensemble.eta or ensemble.viscosity.force
     for said, wrong in {
-        "drive.force: must be given, constant and >= 0": force is None
-        or force < 0.0
-        or drive.segments[0].force_rate,
         "thresholds: must all be equal": law.steps.size != 1,
-        f'delay.time = {delay.time:g}: must be inf, or with law = "exponential" > 0': (
+        f'delay.time = {tau:g}: must be inf, or with law = "exponential" > 0': (
             again and not random
         ),
         'drive.rebinding: must be "shared", for forces to be equal': (
             again and drive.rebinding != "shared"
         ),
         "aging, newborn, viscosity: not in a cluster whose contacts share the force": (
-            ensemble.aging.active or ensemble.newborn.active or ensemble.eta
+            ensemble.aging.active or ensemble.newborn.active or drags
         ),
     }.items():
         if wrong:
             raise InputError(said)
-    contacts = reduced(ensemble, law.scale)  # whose time is the user's
     barrier, n = contacts.barrier, np.arange(1.0, N + 1.0)
     xi = np.full(N, law.steps[0] / law.scale)
-    stretch = (force or 0.0) / law.scale * (N / n)
+    stretch = force / law.scale * (N / n)
     log_rate: Array = np.full(N, -math.inf)
     if barrier.thermal:
         x = np.minimum(stretch, xi)
         with np.errstate(divide="ignore"):  # a prefactor that vanishes at the threshold
             log_rate = barrier.log_w + barrier.log_rate(x, xi, barrier.b)
     log_rate = np.log(n) + np.where(stretch < xi, log_rate, math.inf)
-    return Chain(log_rate, (N - n) / delay.time if again else 0.0 * n)
+    return Chain(log_rate, (N - n) / tau if again else 0.0 * n)
 
 
 def moments(chain: Chain) -> tuple[float, float]:

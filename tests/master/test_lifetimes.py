@@ -15,6 +15,7 @@ from eqsim import (
     Ensemble,
     Gamma,
     InputError,
+    NoThresholds,
     Programme,
     Segment,
     Thermal,
@@ -60,6 +61,22 @@ def test_published_means(N, F, g, known):
     if g:
         fewer = cluster._replace(pinned_again=np.maximum(cluster.pinned_again - g, 0.0))
         assert abs(moments(fewer)[0] / known - 1.0) > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("N", "F", "g", "known"),
+    [(100, 50, 0, 0.56280372087), (2, 1, 1, 0.7827098511), (10, 1, 1, 17.908358462)],
+)
+def test_published_means_of_bell_bonds(N, F, g, known):
+    """The same by keys: forces are over N k."""
+    bell = Ensemble(
+        NoThresholds(),
+        Thermal(barrier="bell", off_rate=1.0, force_scale=1.0),
+        Delay(1.0 / g if g else math.inf, "exponential"),
+        count=N,
+    )
+    found = lifetime(bell, creep(F / N), points=2)
+    assert found.mean.value == pytest.approx(known, rel=1e-10, abs=0)
 
 
 @pytest.mark.parametrize(

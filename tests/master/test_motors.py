@@ -1,5 +1,6 @@
 """Steady states of a motor on a rigid substrate."""
 
+import dataclasses
 import json
 import math
 
@@ -13,6 +14,7 @@ from eqsim import (
     Ensemble,
     Gamma,
     InputError,
+    NoThresholds,
     Programme,
     Segment,
     Stage,
@@ -42,6 +44,30 @@ def test_constant_rate_of_breaks(u, s):
     assert found.friction.value == pytest.approx(4.0 / 3.0 * v, rel=1e-10, abs=0)
     assert found.roots == (found.velocity.value,)
     assert abs(found.velocity.value - v) < 3.0 * found.velocity.stderr + 1e-14 * v
+
+
+@pytest.mark.parametrize(
+    ("u", "s", "v", "friction"),
+    [
+        (10.0, 3.0, 4.3679193448, 1.6896241966),
+        (120.0, 2.0, 78.619767032, 0.68967054947),
+    ],
+)
+def test_bell_bonds(u, s, v, friction):
+    """Ten digits are given; fixed delays of the same mean make no difference. Negative
+    control: a mean delay 1 % longer does."""
+    bonds = Ensemble(
+        NoThresholds(),
+        Thermal(barrier="bell", off_rate=0.1, force_scale=2.0),
+        Delay(1.0, "exponential"),
+    )
+    found = reference(bonds, motor(u, s))
+    assert found.velocity.value == pytest.approx(v, rel=1e-10, abs=0)
+    assert found.friction.value == pytest.approx(friction, rel=1e-10, abs=0)
+    fixed = reference(dataclasses.replace(bonds, delay=Delay(1.0)), motor(u, s))
+    assert fixed.velocity.value == pytest.approx(v, rel=1e-10, abs=0)
+    longer = reference(dataclasses.replace(bonds, delay=Delay(1.01)), motor(u, s))
+    assert abs(longer.velocity.value / v - 1.0) > 1e-4
 
 
 def test_quoted_number():
