@@ -5,6 +5,7 @@ both.
 k = 1 unless said; rupture forces are then stretches at breaking.
 """
 
+import dataclasses
 import math
 
 import mpmath
@@ -261,11 +262,10 @@ def segments(v, x):
     [(name, drive) for name in SHAPES for drive in DRIVES],
     [
         ("bell", "programme"),
-        ("catch-slip", "stage"),
+        ("bell", "stage"),
         ("catch-slip", "programme"),
-        ("bell", "stationary"),
         ("constant", "constant"),
-        ("cusp", "programme"),
+        ("cusp", "constant"),
     ],
 )
 def test_drives_against_reference(name, drive):
@@ -276,6 +276,8 @@ def test_drives_against_reference(name, drive):
     heat, v = SHAPES[name]
     x = reference(Ensemble(unlimited(heat), heat), Drive(v)).break_stretch.value
     ensemble = Ensemble(unlimited(heat), heat, Delay(0.37 * x / v), count=200_000)
+    if drive == "stage":  # each break of which is a step
+        ensemble = dataclasses.replace(ensemble, count=5000)
     scores = []
     for speed in (v, 1.05 * v):
         found = trajectory(ensemble, DRIVES[drive](v, x), points=13, seed=2)
