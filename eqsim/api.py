@@ -27,7 +27,8 @@ from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.named import Exponential, Lognormal, Normal, Pareto, Uniform, Weibull
 from eqsim.laws.newborn import Newborn
-from eqsim.laws.thermal import Thermal
+from eqsim.laws.no_thresholds import NoThresholds
+from eqsim.laws.thermal import Pathway, Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
 from eqsim.laws.viscosity import Viscosity
 from eqsim.master import bursts as _bursts
@@ -76,8 +77,10 @@ __all__ = [
     "Lifetime",
     "Lognormal",
     "Newborn",
+    "NoThresholds",
     "Normal",
     "Pareto",
+    "Pathway",
     "Population",
     "Posterior",
     "Programme",

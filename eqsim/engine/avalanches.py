@@ -1,5 +1,5 @@
 """Breaks one after another, and their avalanches, behind a stage that pulls infinitely
-slowly at T = 0.
+slowly at T = 0, or under a force that is raised so.
 
 Without heat, damping and mass the slider is always in balance, kappa (Y - X) =
 F(X), or slips until it is. A contact breaks where X reaches X_birth + xi - y, with y
@@ -8,7 +8,8 @@ its stretch at birth, and is pinned again at once, or never; the stage has to be
     Y(X) = X + F(X)/kappa
 
 for that. All breaks with Y(X) below the largest Y so far follow at once: an avalanche.
-F is linear in X between breaks, so nothing is approximate.
+F is linear in X between breaks, so nothing is approximate. Under a force f instead of a
+stage f = F(X) takes the place of Y(X), and the last avalanche leaves nothing behind.
 """
 
 import math
@@ -30,14 +31,14 @@ _ROOM = 8192  # avalanches per call of a kernel, so many that calls cost nothing
 STATE = np.dtype(
     [
         ("X", np.float64),  # displacement of the slider
-        ("Y", np.float64),  # displacement of the stage
+        ("Y", np.float64),  # displacement of the stage, or the force
         ("force", np.float64),
         ("stiffness", np.float64),  # of all contacts
         ("X_begun", np.float64),  # X where the avalanche that goes on has begun
         ("force_begun", np.float64),  # force there
         ("size", np.int64),  # its breaks so far; 0 if none goes on
         ("breaks", np.int64),  # so far
-        ("work", np.float64),  # of the stage
+        ("work", np.float64),  # of the stage or the force
         ("lost", np.float64),  # energy lost by breaks
         ("slipped", np.float64),  # energy set free by slips
     ]
@@ -46,7 +47,7 @@ STATE = np.dtype(
 # An avalanche.
 EVENT = np.dtype(
     [
-        ("Y", np.float64),  # of the stage
+        ("Y", np.float64),  # of the stage, or the force
         ("X", np.float64),  # of the slider at the first break
         ("breaks", np.int64),
         ("drop", np.float64),  # of the force
@@ -65,9 +66,9 @@ class Queue(NamedTuple):
 
 
 class Way(NamedTuple):
-    """Motion of the stage."""
+    """Motion of the stage, or rise of the force."""
 
-    stiffness: float  # of its spring
+    stiffness: float  # of its spring; 0 without one
     until: float  # displacement at its end
     stop: Array  # a flag (1,): anything but 0 ends the kernel
 
@@ -96,12 +97,13 @@ def events_of(
 
 
 @routine
-def put_back(heap: Array, contacts: Array, position: float) -> None:
-    """Give the contact that is next another position, and restore the heap's order.
-    `heap` holds positions and `contacts` which contact each belongs to."""
-    contact = contacts[0]
+def put_back(heap: Array, contacts: Array, position: float, at: int = 0) -> None:
+    """Give the contact at a place of the heap, by default the one that is next, a later
+    position, and restore the heap's order. `heap` holds positions and `contacts` which
+    contact each belongs to."""
+    contact = contacts[at]
     n = heap.size
-    i = 0
+    i = at
     while True:
         child = 2 * i + 1
         if child >= n:
@@ -131,6 +133,9 @@ def _slip(now: Any, stiffness: float, x: float) -> None:
     force = now.force
     _move(now, x)
     spring = stiffness * (now.Y - 0.5 * (x0 + x))
+    if stiffness == 0.0:
+        spring = now.Y
+        now.work += spring * (x - x0)
     now.slipped += (spring - 0.5 * (force + now.force)) * (x - x0)
 
 
@@ -177,17 +182,22 @@ def load(
     avalanches, and False if there are more than `events` has room for."""
     now = state[0]
     rows = 0
+    sprung = way.stiffness > 0.0
+    lever = way.stiffness if sprung else 1.0  # force per load
     while way.stop[0] == 0:
         next_break = queue.position[0]
         needed = math.inf
         if next_break < math.inf:
             force = now.force + now.stiffness * (next_break - now.X)
-            needed = next_break + force / way.stiffness
+            needed = next_break + force / lever if sprung else force
         if needed <= now.Y:
             _slip(now, way.stiffness, next_break)
         else:
-            net = way.stiffness * (now.Y - now.X) - now.force
-            rest = now.X + net / (way.stiffness + now.stiffness)
+            let_go = not sprung and next_break == math.inf
+            net = (lever * (now.Y - now.X) if sprung else now.Y) - now.force
+            rest = now.X
+            if not let_go:
+                rest += net / (way.stiffness + now.stiffness)
             if now.size > 0:
                 if rows == events.size:
                     return rows, False
@@ -202,11 +212,14 @@ def load(
                 now.size = 0
             elif rest > now.X:  # the spring begins with more force than contacts hold
                 _slip(now, way.stiffness, rest)
+            if let_go:
+                break
             target = min(needed, way.until)
             force = now.force
-            moved = (target - now.Y) * way.stiffness / (way.stiffness + now.stiffness)
+            moved = (target - now.Y) * lever / (way.stiffness + now.stiffness)
             _move(now, now.X + moved)
-            now.work += 0.5 * (force + now.force) * (target - now.Y)
+            way_of_load = target - now.Y if sprung else moved
+            now.work += 0.5 * (force + now.force) * way_of_load
             now.Y = target
             if needed > way.until:
                 break

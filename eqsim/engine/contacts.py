@@ -34,7 +34,9 @@ def contacts(
     s = reduced(ensemble, velocity, mean_stretch)
     barrier: Any = s.barrier
     if s.annealed:
-        pool = pooled_hazard_of(s.law, s.stiffness, type(s.barrier), s.barrier.b)  # type: ignore[arg-type]
+        # the pool does not depend on the velocity, which is in log_w
+        bare = barrier._replace(log_w=0.0)
+        pool = pooled_hazard_of(s.law, s.stiffness, bare, s.barrier.b)
         barrier = Pooled(s.barrier.log_w, pool.x, pool.G, pool.slopes)
     born: Unstressed | Stretched = Unstressed()
     if s.newborn.active:

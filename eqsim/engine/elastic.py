@@ -311,11 +311,10 @@ def check_elastic(
     elastic.contacts_per_block(ensemble.count)
     thermal, delay, eta = ensemble.thermal, ensemble.delay.time, ensemble.eta
     drag = ensemble.viscosity.force
-    hot = thermal.kT * thermal.attempt_frequency > 0
     aging, born, springs = ensemble.aging, ensemble.newborn, ensemble.stiffness_law
     fresh = drive.start == "fresh"
     refused = {
-        "thermal.kT": (hot, thermal.kT, 0, "heat needs time"),
+        "thermal.kT": (thermal.active, thermal.kT, 0, "heat needs time"),
         "delay.time": (delay > 0, delay, 0, "a delay needs time"),
         "aging.rule": (aging.active, aging.rule, "none", "aging needs time"),
         "newborn.law": (born.active, born.law, "unstressed", _BACKWARDS),

@@ -39,7 +39,7 @@ _MOST_LEVELS = 5  # velocities whose steady states say how forces scatter
 
 def check_programme(ensemble: Ensemble, programme: Programme) -> None:
     """Raise InputError for contacts that do not follow a programme."""
-    born, rule, stage = ensemble.newborn, ensemble.aging.rule, programme.stage
+    born, rule, pulled = ensemble.newborn, ensemble.aging.rule, programme.pulled
     lengths = born.active and born.of == "length"
     refused = (
         (
@@ -57,14 +57,18 @@ def check_programme(ensemble: Ensemble, programme: Programme) -> None:
             'programme may reverse; take disorder = "quenched"',
         ),
         (
-            stage and ensemble.count > _MOST_PULLED,
+            pulled and ensemble.count > _MOST_PULLED,
             f"contacts.count = {ensemble.count}: must be <= {_MOST_PULLED:g} with "
-            "drive.stage",
+            "drive.stage, a force or a motor",
         ),
         (
-            stage and ensemble.fluctuates,
+            pulled and ensemble.fluctuates,
             f'drive.stage: thresholds of rule "{rule}" are followed where the motion '
             'is given; take rule = "flow"',
+        ),
+        (
+            programme.rebinding == "shared" and ensemble.delay.time == 0.0,
+            'drive.rebinding = "shared": needs a delay.time > 0',
         ),
         (
             programme.start == "stationary" and ensemble.fluctuates,

@@ -251,10 +251,14 @@ class SliderTrajectory(ProgrammeTrajectory):
         Those of the same contacts in steps four times as long; None if nothing is
         approximate.
     avalanches : dict of ndarray, or None
-        Avalanches behind a stage that pulls quasi-statically (no heat, delay, damping
-        or mass), by column: time `t` and displacement `X` (length) of the first break,
-        how many `breaks` follow from it, `drop` of the force and `distance` that the
-        slider moves until the last (length), and the `replica`.
+        Breaks at one instant, where they are followed one by one, by column: time `t`
+        and displacement `X` (length) of the first break, how many `breaks` follow from
+        it at once, `drop` of the force and `distance` that the slider moves until the
+        last (length), and the `replica`.
+    lifetimes : ndarray, shape (replicas,)
+        When the last contact has broken under a force that nothing else holds (time);
+        infinite where the record ends before. Then the slider has let go: X is nan, and
+        mean X are those of the replicas that still hold.
     """
 
     stage: Array
@@ -266,6 +270,7 @@ class SliderTrajectory(ProgrammeTrajectory):
     slips: tuple[Slip, ...]
     coarser_slips: tuple[Slip, ...] | None
     avalanches: dict[str, Array] | None
+    lifetimes: Array
 
     names: ClassVar[tuple[str, ...]] = (
         *ProgrammeTrajectory.names,

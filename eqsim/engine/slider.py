@@ -20,7 +20,8 @@ and r lag behind by the breaks that they are means of.
 A step is so short that its estimate misses F by less than the tolerance, beyond the
 scatter of the breaks themselves, and that its displacement is at most the root of the
 tolerance. Slips take as many steps as they need. Where neither damping nor mass limits
-the velocity, a slip takes no time.
+the velocity, a slip takes no time. A force f(t) on the slider itself adds to that of
+the spring, and a motor is one of its stall force with a damping (`model.reduced.Pull`).
 
 Lengths are in units of the threshold law's scale; time is displacement at the pace of
 `model.reduced.Pull`.
@@ -59,6 +60,8 @@ _HALVINGS = 30  # of a step, until a slider without damping and mass slips at an
 _SHORTEST_STEP = 1e-200  # of a slider that damping or a mass limits
 _SLIP_DURATION = 1e-40  # over its displacement, so short that no contact ages
 _NOISE = 2.0  # standard errors of breaks in a step, which no shorter step would reduce
+_TOLERANCE = 1e-4  # of a slider without a stage, the default of a stage
+_STANDING = 1e-200  # speed over the pace of a motor that is switched off
 _AT_THRESHOLD = 1.0 - 1e-9  # share of a threshold from which on breaks are by motion
 
 # The state of a contact between two steps: 56 bytes.
@@ -279,6 +282,23 @@ def _relaxed(
     return dt / damping * (net * first + gain * dt * second)
 
 
+def find_stationary(
+    before: Contacts, key: Key, first: int, population: Array, speed: float
+) -> None:
+    """Put contacts (`CONTACT`) from number `first` on into the steady state of a speed,
+    at which their laws are `before`."""
+    law = stationary(before)
+    for begin in range(0, population.size, _DRAWN_AT_ONCE):
+        drawn = population[begin : begin + _DRAWN_AT_ONCE]
+        snapshot = Snapshot.fresh(first + begin, drawn.size)
+        begin_stationary(before, law, key, snapshot)
+        drawn["began_stationary"] = snapshot.pinned
+        drawn["time_to_pinning"] = snapshot.wait / speed
+        drawn["time_since_birth"] = snapshot.age / speed
+        for name in ("pinned", "threshold", "stretch", "clock", "lives"):
+            drawn[name] = getattr(snapshot, name)
+
+
 class Followed(NamedTuple):
     """The contacts of one kind. Stretches and time are in units of their own law."""
 
@@ -304,7 +324,8 @@ class Slider:
         longer: int = 1,
     ) -> None:
         stage = programme.stage
-        assert stage is not None
+        tolerance = stage.tolerance if stage else _TOLERANCE
+        preload = stage.preload if stage else None
         unit = ensemble.thresholds.scale
         self.pull = pull_of(ensemble, programme)
         pace = self.pull.pace
@@ -340,12 +361,14 @@ class Slider:
         laws = [kind.contacts.thresholds for kind in ensemble.kinds]
         self.least_slip = min(map(least_slip, laws)) / unit
         width = min(map(width_of, laws))
-        self.longest = longer * math.sqrt(stage.tolerance) * width / unit
+        self.longest = longer * math.sqrt(tolerance) * width / unit
         mean = min(law.mean for law in laws)
-        self.tolerance = longer**2 * stage.tolerance * mean / unit
+        self.tolerance = longer**2 * tolerance * mean / unit
         barriers = [isinstance(x.laws.barrier, Mechanical) for x in self.groups]
         unaged = [isinstance(x.laws.aging, Unaged) for x in self.groups]
         self.waits = not all(barriers + unaged)
+        self.endless = all(x.laws.delay.mean == math.inf for x in self.groups)
+        self.segment = 0
         self.acceleration = 0.0
         self.behind = Behind()
         self.breaks = BreakRates(0.1 * self.longest)
@@ -355,38 +378,27 @@ class Slider:
             speed = programme.velocity / pace
             for kind, group in zip(ensemble.kinds, self.groups, strict=True):
                 before = contacts(kind.contacts, programme.velocity)
-                self._begin_stationary(group, before, speed)
+                find_stationary(before, group.key, group.first, group.population, speed)
         sums = self._follow(Piece(0.0, 0.0, 1.0))
-        stretch = (stage.preload or 0.0) / unit
-        if speed and stage.preload is None:
+        stretch = (preload or 0.0) / unit
+        if speed and stage and preload is None:
             stretch = (sums.force + self._damping(sums) * speed) / self.pull.stiffness
         self.state = State(0.0, 0.0, stretch, speed, sums)
         # True if the slider is always in balance or slips at an instant, and only moves
-        # forwards, so that one break after the other can be followed.
+        # forwards, so that one break after the other can be followed. Under a force a
+        # contact that forms again at once might make a slip without an end.
+        delay = self.groups[0].laws.delay.mean
         self.quasi_static = (
             not self.waits
             and len(self.groups) == 1
-            and self.groups[0].laws.delay.mean in (0.0, math.inf)
+            and (delay == math.inf or (delay == 0.0 and not self.pull.forced))
             and self.pull.damping == self.pull.mass == 0.0
+            and not self.pull.motor
+            and (self.drag == 0.0 or delay == 0.0)
             and min(self.pull.speeds) >= 0.0
+            and self.pull.slow
             and self.pull.stiffness * stretch >= sums.force * (1.0 - 1e-12)
         )
-
-    def _begin_stationary(
-        self, group: Followed, before: Contacts, speed: float
-    ) -> None:
-        """Put contacts into the steady state of a speed, at which their laws are
-        `before`."""
-        law = stationary(before)
-        for begin in range(0, group.population.size, _DRAWN_AT_ONCE):
-            drawn = group.population[begin : begin + _DRAWN_AT_ONCE]
-            snapshot = Snapshot.fresh(group.first + begin, drawn.size)
-            begin_stationary(before, law, group.key, snapshot)
-            drawn["began_stationary"] = snapshot.pinned
-            drawn["time_to_pinning"] = snapshot.wait / speed
-            drawn["time_since_birth"] = snapshot.age / speed
-            for name in ("pinned", "threshold", "stretch", "clock", "lives"):
-                drawn[name] = getattr(snapshot, name)
 
     def __enter__(self) -> "Slider":
         return self
@@ -395,9 +407,28 @@ class Slider:
         if self.pool:
             self.pool.__exit__(*error)
 
+    @property
+    def let_go(self) -> bool:
+        """True if nothing is left that balances a force, or slows the slider down."""
+        sums = self.state.sums
+        held = self.pull.stiffness or self.pull.mass or self._damping(sums)
+        return sums.pinned == 0.0 and not held
+
     def _damping(self, sums: Sums) -> float:
-        """Damping of the slider and of all detached contacts."""
-        return self.pull.damping + self.drag * (1.0 - sums.pinned)
+        """Damping of the slider, of all detached contacts, and by a motor."""
+        damping = self.pull.damping + self.drag * (1.0 - sums.pinned)
+        if self.pull.motor:
+            speed = abs(self.pull.speeds[self.segment])
+            damping += self.pull.stall / max(speed, _STANDING)
+        return damping
+
+    def _applied(self, time: float) -> float:
+        """Force on the slider besides that of a spring."""
+        pull, i = self.pull, self.segment
+        if pull.motor:
+            return math.copysign(pull.stall, pull.speeds[i])
+        begin = pull.ends[i - 1] if i else 0.0
+        return pull.forces[i] + pull.force_rates[i] * (time - begin)
 
     def _follow(self, piece: Piece) -> Sums:
         """Follow all contacts along a piece. Returns sums divided by their number."""
@@ -436,8 +467,8 @@ class Slider:
         now, pull, behind = self.state, self.pull, self.behind.within(dt)
         elastic = self._elastic
         net = pull.stiffness * (now.Y - now.X) - now.sums.force
-        net -= elastic * behind.distance
-        gain = pull.stiffness * speed - self.breaks.r
+        net += self._applied(now.time) - elastic * behind.distance
+        gain = pull.stiffness * speed + pull.force_rates[self.segment] - self.breaks.r
         if pull.mass == 0.0:
             damping = self._damping(now.sums)
             dX = behind.distance + _relaxed(net, gain, elastic, damping, dt)
@@ -476,10 +507,17 @@ class Slider:
         dX, V = self._estimate(dt, speed)
         limited = self.pull.damping or self.pull.mass
         shortest = _SHORTEST_STEP if limited else 0.5**_HALVINGS * dt
-        while abs(dX) > 1.5 * self.longest and dt > shortest:
+        longest = 1.5 * self.longest
+        gone = now.sums.pinned == 0.0 and self.endless
+        if gone and not self.pull.mass:  # nothing breaks, and the estimate is exact
+            self.breaks = BreakRates(self.breaks.shortest)
+            self.behind = Behind()
+            dt, longest = left, math.inf
+            dX, V = self._estimate(dt, speed)
+        while abs(dX) > longest and dt > shortest:
             dt *= 0.5
             dX, V = self._estimate(dt, speed)
-        if abs(dX) > 1.5 * self.longest:
+        if abs(dX) > longest:
             return self._slip()
         sums = self._follow(Piece(dt, abs(dX) / dt, math.copysign(1.0, dX)))
         change = (now.sums.stiffness + self.breaks.rho) * dX + self.breaks.r * dt
@@ -534,6 +572,7 @@ class Slider:
         """Move towards balance in a piece that takes no time."""
         now = self.state
         net = self.pull.stiffness * (now.Y - now.X) - now.sums.force
+        net += self._applied(now.time)
         elastic = self._elastic
         size = self.longest
         if elastic > 0.0:
@@ -554,7 +593,13 @@ class Slider:
         is left of the work of the spring."""
         now, pull = self.state, self.pull
         spring = pull.stiffness * (now.Y + 0.5 * dY - now.X - 0.5 * dX)
+        if not pull.stiffness:
+            spring, dY = self._applied(now.time + 0.5 * dt), dX
         damped = (spring - force) * dX - 0.5 * pull.mass * (V * V - now.V * now.V)
+        taken = 0.0  # by the motor itself
+        if pull.motor:
+            drag = self.drag * (1.0 - sums.pinned)
+            taken = damped * (1.0 - drag / self._damping(sums))
         missed = force * dX - (sums.stored - now.sums.stored) - sums.lost
         self.state = State(
             now.time + dt,
@@ -562,8 +607,8 @@ class Slider:
             now.Y + dY,
             V,
             sums,
-            now.work + spring * dY,
-            now.damped + damped,
+            now.work + spring * dY - taken,
+            now.damped + damped - taken,
             now.lost + sums.lost,
             now.missed + missed,
         )

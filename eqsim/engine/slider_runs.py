@@ -2,7 +2,9 @@
 
 Every ensemble is followed a second time in steps four times as long. What that changes
 tells how far the finite step may be wrong (`step_error`). Sliders that are always in
-balance or slip at an instant are followed break by break instead (`engine.avalanches`).
+balance or slip at an instant are followed break by break instead (`engine.avalanches`),
+and those that a force or a motor pulls, or whose contacts wait for heat, event by event
+(`engine.events`).
 """
 
 import math
@@ -13,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from eqsim.engine import avalanches
+from eqsim.engine import avalanches, events
 from eqsim.engine.blocks import Progress, Threads, workers_of
 from eqsim.engine.records import SliderTrajectory, Slip, by_replica, shown_by, slips_of
 from eqsim.engine.scatter import pinned_variance
@@ -21,7 +23,8 @@ from eqsim.engine.slider import Slider
 from eqsim.laws.stiffness import kappa
 from eqsim.model.drive import Grid, Output, Programme
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import pull_of
+from eqsim.model.reduced import Pull, pull_of
+from eqsim.model.slip import least_slip
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
 
@@ -46,6 +49,7 @@ class _PulledRun(NamedTuple):
     slips: list[Slip]
     lives: int
     avalanches: dict[str, Array] | None = None
+    lifetime: float = math.inf
 
 
 def _note(slider: Slider, row: np.void) -> None:
@@ -62,6 +66,8 @@ def _note(slider: Slider, row: np.void) -> None:
     row["dissipated"] = now.lost + now.damped
     row["missed"] = now.missed
     row["behind"] = slider.behind.distance
+    if slider.let_go:
+        row["X"] = row["stage"] = math.nan
 
 
 def _in_steps(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
@@ -71,10 +77,13 @@ def _in_steps(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
     states = [slider.state]
     lives = float(slider.count)
     row = 1
-    for end, speed in zip(slider.pull.ends, slider.pull.speeds, strict=True):
+    for index, (end, speed) in enumerate(
+        zip(slider.pull.ends, slider.pull.speeds, strict=True)
+    ):
+        slider.segment = index
         while row < instants.size and instants[row] <= end * (1.0 + 1e-12):
             until = min(float(instants[row]), end)
-            while slider.state.time < until:
+            while slider.state.time < until and not slider.let_go:
                 now = slider.step(until, speed)
                 states.append(now)
                 lives += now.sums.breaks * slider.count
@@ -85,14 +94,19 @@ def _in_steps(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
             row += 1
     course["stored"] -= course["stored"][0]
     t, X, Y = np.array([(now.time, now.X, now.Y) for now in states]).T
-    return _PulledRun(course, _slips(slider, course, t, X, Y), round(lives))
+    slips = []
+    if slider.pull.stiffness:
+        slips = _slips(slider.pull, slider.least_slip, course, t, X, Y)
+    lifetime = slider.state.time if slider.let_go else math.inf
+    return _PulledRun(course, slips, round(lives), lifetime=lifetime)
 
 
-def _slips(slider: Slider, course: Array, t: Array, X: Array, Y: Array) -> list[Slip]:
+def _slips(
+    pull: Pull, least_slip: float, course: Array, t: Array, X: Array, Y: Array
+) -> list[Slip]:
     """Slips in a record, arrays (steps,), beyond what contacts make at X by chance."""
-    pull = slider.pull
     noise = _SLIP_NOISE * math.sqrt(course["variance"].max())
-    least = max(slider.least_slip * pull.stiffness, noise)
+    least = max(least_slip * pull.stiffness, noise)
     fastest = max(map(abs, pull.speeds))
     return slips_of(t, X, pull.stiffness * (Y - X), least, fastest)
 
@@ -100,8 +114,15 @@ def _slips(slider: Slider, course: Array, t: Array, X: Array, Y: Array) -> list[
 def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
     """`_in_steps` of a slider that is quasi-static."""
     pull, start, group = slider.pull, slider.state, slider.groups[0]
-    loaded = np.diff(pull.ends, prepend=0.0) * pull.speeds
-    stages = start.Y + np.interp(instants, [0.0, *pull.ends], np.cumsum([0.0, *loaded]))
+    if pull.forced:
+        times, loads = pull.knots
+        stages = pull.force_at(instants)
+        stages[0] = 0.0  # before the force acts
+    else:
+        loaded = np.diff(pull.ends, prepend=0.0) * pull.speeds
+        moved = np.interp(instants, [0.0, *pull.ends], np.cumsum([0.0, *loaded]))
+        stages = start.Y + moved
+        times, loads = instants, stages
     queue = avalanches.queue_of(group.population)
     state = np.zeros(1, avalanches.STATE)
     now = state[0]
@@ -130,17 +151,59 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledR
             row["work"] = now["work"]
             row["stored"] = spring + 0.5 * float(np.mean(stiffness * stretch**2))
             row["dissipated"] = now["lost"] + now["slipped"]
+            if pull.forced:
+                let_go = not pinned.any()
+                row["stage"] = row["X"] = math.nan if let_go else now["X"]
             told(int(now["breaks"]))
     course["stored"] -= course["stored"][0]
     course["missed"] = course["work"] - course["stored"] - course["dissipated"]
-    events = np.concatenate(found)
-    t, X = np.interp(events["Y"], stages, instants), events["X"]
-    moved = np.stack((X, X + events["distance"]), axis=1).ravel()
-    twice = np.repeat(t, 2), moved, np.repeat(events["Y"], 2)
-    slips = _slips(slider, course, *twice) if events.size else []
-    columns = {name: events[name] for name in ("X", "breaks", "drop", "distance")}
+    bursts = np.concatenate(found)
+    t, X = np.interp(bursts["Y"], loads, times), bursts["X"]
+    moved = np.stack((X, X + bursts["distance"]), axis=1).ravel()
+    twice = np.repeat(t, 2), moved, np.repeat(bursts["Y"], 2)
+    slips = []
+    if bursts.size and not pull.forced:
+        slips = _slips(pull, slider.least_slip, course, *twice)
+    let_go = pull.forced and np.isnan(course["X"][-1])
+    columns = {name: bursts[name] for name in ("X", "breaks", "drop", "distance")}
     lives = slider.count + int(now["breaks"])
-    return _PulledRun(course, slips, lives, {"t": t, **columns})
+    lifetime = float(t[-1]) if let_go else math.inf
+    return _PulledRun(course, slips, lives, {"t": t, **columns}, lifetime)
+
+
+def _by_events(
+    ensemble: Ensemble,
+    programme: Programme,
+    seed: int,
+    instants: Array,
+    courses: Array,
+    threads: int,
+    told: Progress,
+) -> list[_PulledRun]:
+    """Runs of all replicas event by event. Fills `courses` (replicas, points) of
+    `_COURSE`."""
+    pull, law = pull_of(ensemble, programme), ensemble.thresholds
+    sliders, every = events.follow_events(
+        ensemble, programme, seed, instants, courses, threads, told
+    )
+    ends = np.searchsorted(every["replica"], np.arange(len(courses) + 1))
+    runs = []
+    for replica, course in enumerate(courses):
+        course["stored"] -= course["stored"][0]
+        bursts = every[ends[replica] : ends[replica + 1]]
+        t, X, Y = (bursts[name] for name in ("t", "X", "Y"))
+        slips = []
+        if pull.stiffness and t.size:
+            moved = np.stack((X, X + bursts["distance"]), axis=1).ravel()
+            least = least_slip(law) / law.scale
+            twice = np.repeat(t, 2), moved, np.repeat(Y, 2)
+            slips = _slips(pull, least, course, *twice)
+        names = "t", "X", "breaks", "drop", "distance"
+        columns = {name: bursts[name] for name in names}
+        now = sliders[replica]
+        lives, lifetime = ensemble.count + int(now["breaks"]), float(now["lifetime"])
+        runs.append(_PulledRun(course, slips, lives, columns, lifetime))
+    return runs
 
 
 def coarse_instants(segment: Array) -> Array:
@@ -210,7 +273,7 @@ def pulled(
     threads: Threads,
     progress: Progress | None,
 ) -> SliderTrajectory:
-    """Simulate `trajectory.trajectory` of a slider that a stage pulls."""
+    """Simulate `trajectory.trajectory` of a slider that something pulls."""
     grid, replicas, seed = programme.grid(output.points), output.replicas, output.seed
     unit = ensemble.thresholds.scale
     pull = pull_of(ensemble, programme)
@@ -218,6 +281,7 @@ def pulled(
     instants = grid.t * per_time
     recorded = coarse_instants(grid.segment)
     workers = 1 if isinstance(threads, tuple) else workers_of(threads)
+    every = np.zeros((replicas, grid.t.size), _COURSE)
     runs: list[_PulledRun] = []
     coarse: list[_PulledRun] = []
     begin, lives = 0.0, 0
@@ -226,20 +290,29 @@ def pulled(
         if progress:
             progress(lives + more)
 
-    for replica in range(replicas):
+    eventful = events.by_events(ensemble, programme)
+    events.require_events(ensemble, programme, eventful)
+    if eventful:
+        begin = time.perf_counter()
+        runs = _by_events(ensemble, programme, seed, instants, every, workers, told)
+        lives = sum(run.lives for run in runs)
+    for replica in range(0 if eventful else replicas):
         start = ensemble, programme, seed, replica, workers
         with Slider(*start) as slider:
             begin = begin or time.perf_counter()  # when kernels are compiled
             follow = _break_by_break if slider.quasi_static else _in_steps
             runs.append(follow(slider, instants, told))
+        every[replica] = runs[-1].course
         lives += runs[-1].lives
         del slider  # its memory is that of the next one
         if follow is _in_steps:
             with Slider(*start, _COARSER) as slider:  # its lives do not count
                 coarse.append(_in_steps(slider, instants[recorded], lambda _: told(0)))
-    every = np.array([run.course for run in runs])
     again = np.array([run.course for run in coarse])
+    gone = np.isnan(every["X"])  # means of X are over those that hold
     mean = {name: np.mean(every[name], axis=0) for name in _COURSE.names or ()}
+    for name in ("X", "stage") if gone.any() else ():
+        mean[name] = np.ma.array(every[name], mask=gone).mean(axis=0).filled(math.nan)
     delayed = any(kind.contacts.delay.time > 0 for kind in ensemble.kinds)
     errors = {
         "X": np.zeros(grid.t.size),
@@ -250,6 +323,10 @@ def pulled(
     if replicas > 1:
         std = {name: np.std(every[name], axis=0, ddof=1) for name in errors}
         errors = {name: std[name] / math.sqrt(replicas) for name in errors}
+        if gone.any():
+            holding = np.ma.array(every["X"], mask=gone)
+            std["X"] = holding.std(axis=0, ddof=1).filled(math.nan)
+            errors["X"] = std["X"] / np.sqrt(np.maximum(holding.count(axis=0), 1))
         errors["friction"] = np.sqrt(std["friction"] ** 2 / replicas)
         X_std, force_std = std["X"] * unit, std["friction"] * unit
         X_replicas, force_replicas = every["X"] * unit, every["friction"] * unit
@@ -264,6 +341,11 @@ def pulled(
     reliable = replicas >= _ENOUGH_REPLICAS
     shown = Grid(grid.t, X, grid.segment), force, stderr, reliable, X_stderr
     energies = [mean[name] for name in _ENERGIES]
+    spring = pull.stiffness * (mean["stage"] - mean["X"])
+    if programme.forced:
+        spring = pull.force_at(instants)
+    elif programme.stage is None:
+        spring = mean["friction"]
     return SliderTrajectory(
         X=X,
         t=grid.t,
@@ -281,7 +363,7 @@ def pulled(
         segment=grid.segment,
         segments=shown_by(programme, *shown),
         stage=mean["stage"] * unit,
-        spring=pull.stiffness * (mean["stage"] - mean["X"]) * unit,
+        spring=spring * unit,
         X_stderr=X_stderr,
         X_replica_std=X_std,
         X_replicas=X_replicas,
@@ -289,4 +371,5 @@ def pulled(
         slips=_slips_in_units(runs, per_time, unit),
         coarser_slips=_slips_in_units(coarse, per_time, unit) if coarse else None,
         avalanches=_avalanches_in_units(runs, per_time, unit),
+        lifetimes=np.array([run.lifetime for run in runs]) / per_time,
     )

@@ -46,7 +46,8 @@ def predicted_lives(
         way, kinds = over_distance(drive, ensemble), ensemble.kinds
         return sum(predicted_lives(kind.contacts, way, replicas) for kind in kinds)
     if isinstance(drive, Programme):
-        lives = sum(programme.cycles(ensemble, drive))
+        # what a force lets go of lives once, and nobody knows before what it holds
+        lives = 1.0 if drive.forced else sum(programme.cycles(ensemble, drive))
         if drive.stage:
             lives += abs(drive.stage.preload or 0.0) / ensemble.thresholds.mean
         return ensemble.count * replicas * lives
@@ -67,8 +68,8 @@ def check_run(
             programme.check_programme(kind.contacts, drive)
     else:
         require_drive(drive)
-        if drive.start == "stationary":
-            ensemble.require_steady_state()
+        for kind in ensemble.kinds if drive.start == "stationary" else ():
+            kind.contacts.require_steady_state()
         distance = drive.over(ensemble) / ensemble.thresholds.scale
         require_number("distance / threshold", distance, least=1e-100, most=1e100)
     expected = predicted_lives(ensemble, drive, output.replicas)
@@ -169,7 +170,7 @@ def trajectory(
     output = Output(points, seed, replicas)
     expected = check_run(ensemble, drive, output, max_lives)
     progress = guarded(progress, expected, max_lives)
-    if isinstance(drive, Programme) and drive.stage:
+    if isinstance(drive, Programme) and drive.pulled:
         return pulled(ensemble, drive, output, threads, progress)
     if ensemble.populations:
         return _of_kinds(ensemble, drive, output, threads, progress)

@@ -28,6 +28,7 @@ from eqsim.fitting.record import Correlation, RecordForward
 from eqsim.fitting.section import NUISANCES, Fit, parameters_of, section_of
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile, at, opened, path_of
+from eqsim.laws.barrier import BARRIERS
 from eqsim.numerics.tables import Array
 from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps.workers import Workers
@@ -541,8 +542,10 @@ def derived(result: FitResult) -> dict[str, float]:
             groups["T of kT (K)"] = kelvin
         groups["v0 = omega x_*"] = thermal.attempt_frequency * unit
         groups["b = k x_*^2/(2 kT)"] = ensemble.b
-        if ensemble.disorder == "annealed":
-            groups["v_*"] = ensemble.crossover_velocity
+    elif thermal.active:
+        groups[f"b = {BARRIERS[thermal.barrier].b_words}"] = ensemble.b
+    if thermal.active and ensemble.disorder == "annealed":
+        groups["v_*"] = ensemble.crossover_velocity
     area, stress = result.fit.area, result.fit.normal_stress
     per_area = 1.0 / area if area is not None else stress
     if per_area is not None:

@@ -19,6 +19,7 @@ from eqsim.errors import InputError
 from eqsim.fitting.section import Parameter
 from eqsim.io.runfile import RunFile, parameters
 from eqsim.laws.aging import RULES
+from eqsim.laws.barrier import BARRIERS
 from eqsim.numerics.tables import Array
 
 # Powers of the factor by which the two symmetries, of lengths and of energies, scale
@@ -70,6 +71,8 @@ def _scalings(
     unused = (key for key in values if key.startswith("aging."))
     values |= {key: 0.0 for key in unused if key.partition(".")[2] not in taken}
     moving = {one.key for one in free} | ({"fit.scale"} if scaled else set())
+    if file["thresholds.law"] == "none":
+        values.pop("thresholds.x_star", None)  # nothing depends on it
     if not file["thermal.kT"] and "thermal.kT" not in moving:
         values["thermal.attempt_frequency"] = 0.0
     effective = (key for key, value in values.items() if value and math.isfinite(value))
@@ -120,7 +123,8 @@ def _limits(
     file: RunFile, free: list[Parameter], scaled: bool, measured: set[str]
 ) -> Iterator[str]:
     by_key, law = {one.key: one for one in free}, file["thresholds.law"]
-    cold = not file["thermal.kT"] and "thermal.kT" not in by_key
+    bond = BARRIERS[file["thermal.barrier"]].by_force
+    cold = not file["thermal.kT"] and "thermal.kT" not in by_key and not bond
     rule, annealed = file["aging.rule"], file["disorder"] == "annealed"
     if cold and "thermal.attempt_frequency" in by_key:
         yield "thermal.attempt_frequency: has no effect at thermal.kT = 0"

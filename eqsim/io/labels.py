@@ -9,6 +9,7 @@ from eqsim import catalogue
 from eqsim.catalogue import LENGTH, NUMBER, STRESS, Dimension
 from eqsim.estimate import OBSERVABLES
 from eqsim.io.units import Units
+from eqsim.laws.barrier import BARRIERS
 from eqsim.model.ensemble import Ensemble
 
 FORCE = catalogue.COLUMNS["force"].mathtext
@@ -157,7 +158,10 @@ def described(contacts: Ensemble, units: Units, tex: bool = False) -> str:
         return ", ".join([*parts, f"{len(contacts.populations)} populations"])
     kT, energy = contacts.thermal.kT, contacts.stiffness * contacts.thresholds.scale**2
     kelvin = units.kelvin(kT)
-    if not kT:
+    thermal = contacts.thermal
+    if BARRIERS[thermal.barrier].by_force:
+        parts.append(f"{thermal.barrier} bonds")
+    elif not kT:
         parts.append("$T = 0$" if tex else "T = 0")
     elif kelvin is not None:
         parts.append(f"$T$ = {kelvin:.4g} K" if tex else f"T = {kelvin:.4g} K")

@@ -18,6 +18,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from eqsim import catalogue
 from eqsim.errors import (
     NOT_NEGATIVE,
     POSITIVE,
@@ -37,7 +38,7 @@ from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.named import law_of, threshold_parameters
 from eqsim.laws.newborn import LAWS, Newborn
-from eqsim.laws.thermal import Thermal
+from eqsim.laws.thermal import Pathway, Thermal
 from eqsim.laws.threshold import Table, ThresholdLaw
 from eqsim.laws.viscosity import Viscosity
 from eqsim.model.drive import Drive, Output, Programme, Segment, Stage, require_drive
@@ -113,9 +114,11 @@ class RunFile(Listed):
         """The units of its numbers. Raises InputError."""
         law, varied = self["thresholds.law"], repr((self.sweep, self.fit))
         x_star = threshold_parameters(law).get("x_star") if law != "table" else None
+        bond = self["thermal.off_rate"] is not None or self["thermal.slip"]
+        omega = None if bond else self["thermal.attempt_frequency"]
         keys = {
             "x_*": ("x_star", self["thresholds.x_star"] or x_star),
-            "omega": ("attempt_frequency", self["thermal.attempt_frequency"]),
+            "omega": ("attempt_frequency", omega),
             "k": ("stiffness", self["contacts.stiffness"]),
         }
         natural = tuple(
@@ -150,19 +153,15 @@ class RunFile(Listed):
     @property
     def constant(self) -> bool:
         """True for a drive at `drive.velocity` over `drive.distance`."""
-        names = "programme", "file", "stage", "stall_force", "force", "force_rate"
-        return all(self.settings["drive"][name] is None for name in (*names, "time"))
+        names = self.settings["drive"].keys() - {"velocity", "distance", "start"}
+        return all(self.settings["drive"][name] is None for name in names)
 
     @property
     def pulled(self) -> bool:
         """True if a stage, a force or a motor moves the slider."""
-        drive = self.settings["drive"]
+        parts = [self.settings["drive"], *(self["drive.programme"] or ())]
         names = "stage", "stall_force", "force", "force_rate"
-        forced = any(
-            "force" in part
-            for part in self.given.get("drive", {}).get("programme") or ()
-        )
-        return forced or any(drive[name] is not None for name in names)
+        return any(part.get(name) is not None for part in parts for name in names)
 
     @cached_property
     def ensemble(self) -> Ensemble:
@@ -181,6 +180,8 @@ class RunFile(Listed):
         InputError."""
         disorder, eta = self["disorder"], self["viscosity.eta"]
         heat = {k: v for k, v in self["thermal"].items() if k != "temperature"}
+        for name in ("catch", "slip"):
+            heat[name] = heat[name] and Pathway(**heat[name])
         with under("thermal"):
             thermal = Thermal(**heat)
         delay = self._section(Delay, "delay")
@@ -200,17 +201,18 @@ class RunFile(Listed):
         with under("newborn"):
             newborn.check(law, disorder, aging.active)
         with under("contacts"):
-            return Ensemble(
-                law,
-                thermal,
-                delay,
-                aging,
-                disorder=disorder,
-                eta=eta,
-                newborn=newborn,
-                viscosity=viscosity,
-                **self["contacts"],
-            )
+            Ensemble(**self["contacts"])
+        return Ensemble(
+            law,
+            thermal,
+            delay,
+            aging,
+            disorder=disorder,
+            eta=eta,
+            newborn=newborn,
+            viscosity=viscosity,
+            **self["contacts"],
+        )
 
     def _threshold_law(self) -> ThresholdLaw:
         known = self.settings["thresholds"]
@@ -296,7 +298,7 @@ class RunFile(Listed):
             elif alone:
                 distance, time = given["distance"], given["time"]
                 if distance is None and time is None and not pulls:
-                    distance = 200.0 * self._threshold_law().mean
+                    distance = 200.0 * self.ensemble.thresholds.mean
                 segments = [Segment(given["velocity"] or 0.0, distance, time, **pulls)]
             for index, section in enumerate(programme or []):
                 with under(f"programme.{index}"):
@@ -308,6 +310,7 @@ class RunFile(Listed):
                 given["velocity"],
                 pulled_by,
                 math.inf if stall is None else stall,
+                given["rebinding"] or "unstretched",
             )
 
     def with_changes(self, changes: dict[str, Any]) -> "RunFile":
@@ -389,7 +392,7 @@ def _population(file: RunFile, index: int) -> RunFile:
             _without_alternatives(
                 data, {f"{name}.{key}": x for key, x in given.items()}
             )
-            alone = given.keys() & {"law", "rule"}
+            alone = given.keys() & {"law", "rule", "barrier"}
             data[name] = given if alone else data.get(name, {}) | given
     return check(data, file.folder)
 
@@ -556,33 +559,31 @@ _PARAMETERS: dict[str, type] = {
     for name, key in schema.KEYS.items()
     if key.kind in (float, int, str)
     and name != "title"
-    and not name.startswith(
-        ("elastic.", "units.", "interface.", "drive.programme.", "drive.stage.")
-    )
-    and not name.startswith("population.")
-}
-# Likewise of a population.
-_OF_POPULATION: dict[str, type] = {
-    name.removeprefix("population."): key.kind
-    for name, key in schema.KEYS.items()
-    if name.partition(".")[0] in ("population", *schema.OF_POPULATION)
+    and not name.startswith(("units.", "interface.", "drive.programme.", "population."))
+    and name.rpartition(".")[0] not in schema.OPTIONAL
 }
 
 
 def keys(file: RunFile | None = None) -> dict[str, type]:
     """Every `section.key` (or top-level key) but `title`, `sweep`, `units` and
     `interface`, and the type of its values: float, int or str. Given a `file`, also
-    those that its programme, stage, coupled blocks or populations have, such as
+    those that its programme, stage, coupled blocks, pathways or populations have, as
     drive.programme.1.hold."""
     known = dict(_PARAMETERS)
     if file is None:
         return known
-    for section in ("elastic", "drive.stage"):
+    for section in schema.OPTIONAL:
         if file[section]:
             below = schema.keys_of(section).items()
             known |= {f"{section}.{name}": key.kind for name, key in below}
     for index in range(len(file["population"] or [])):
-        known |= {f"population.{index}.{n}": kind for n, kind in _OF_POPULATION.items()}
+        above, alone = f"population.{index}.", keys(_population(file, index))
+        known |= {f"{above}share": float, f"{above}stiffness": float}
+        known |= {
+            above + name: kind
+            for name, kind in alone.items()
+            if name.partition(".")[0] in schema.OF_POPULATION
+        }
     kinds = {n: key.kind for n, key in schema.keys_of("drive.programme").items()}
     for index, segment in enumerate(file["drive.programme"] or []):
         given = (name for name, value in segment.items() if value is not None)
@@ -599,6 +600,19 @@ def parameters(file: RunFile) -> dict[str, Any]:
             found[f"thresholds.{key}"] = default
     # no -0.0
     return {k: v + 0.0 if isinstance(v, float) else v for k, v in found.items()}
+
+
+_NEWER = {name for name, key in catalogue.KEYS.items() if key.since}
+
+
+def naming(file: RunFile) -> dict[str, Any]:
+    """The `parameters` that name a point of a sweep. Keys that came with a later version
+    are among them where they differ from their defaults: points keep their names."""
+    return {
+        key: value
+        for key, value in parameters(file).items()
+        if key not in _NEWER or value != schema.KEYS[key].default
+    }
 
 
 def _part(data: Any, name: str) -> Any:

@@ -47,6 +47,8 @@ _DATACLASSES: dict[str, Any] = {
 }
 # Sections that a population may have, too.
 OF_POPULATION = ("thresholds", "thermal", "delay", "aging", "newborn")
+# Sections that are there or not.
+OPTIONAL = ("elastic", "drive.stage", "thermal.catch", "thermal.slip")
 _DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
 
 
@@ -68,6 +70,7 @@ def _whole(value: Any) -> Any:
 
 _WHOLE = Annotated[int, BeforeValidator(_whole)]
 _NUMBER = Key(float, float | None, None)
+_REQUIRED = Key(float, float, ...)
 _TEXT = Key(str, str | None, None)
 _TABLE = Key(dict, dict[str, Any], {})  # read by `sweeps.plan` and `fitting.section`
 _OTHERS = {
@@ -81,11 +84,16 @@ _OTHERS = {
     "thresholds.quantity": Key(str, Literal["stretch", "force"] | None, None),
     "thermal.temperature": _NUMBER,  # kelvin, instead of kT
     "viscosity.eta": Key(float, float, Ensemble.eta),
+    "thermal.catch.rate": _REQUIRED,
+    "thermal.catch.force": _REQUIRED,
+    "thermal.slip.rate": _REQUIRED,
+    "thermal.slip.force": _REQUIRED,
     "drive.velocity": _NUMBER,
     "drive.force": _NUMBER,
     "drive.force_rate": _NUMBER,
     "drive.time": _NUMBER,
     "drive.stall_force": _NUMBER,
+    "drive.rebinding": _TEXT,
     "drive.file": _TEXT,
     "drive.programme.velocity": _NUMBER,
     "drive.programme.hold": _NUMBER,  # the time of a segment that does not move
@@ -120,9 +128,9 @@ def keys_of(section: str) -> dict[str, Key]:
 
 
 def _schema(section: str) -> Any:
-    """A pydantic model that checks names and types of the keys of a section. [elastic]
-    and a stage are there or not; a programme is a list, and so are populations, which
-    have sections."""
+    """A pydantic model that checks names and types of the keys of a section. [elastic],
+    a stage and pathways are there or not; a programme is a list, and so are
+    populations, which have sections."""
     keys: dict[str, Any] = {
         name: (key.annotation, key.default) for name, key in keys_of(section).items()
     }
@@ -132,7 +140,7 @@ def _schema(section: str) -> Any:
             below = _schema(name)
             if last in ("programme", "population"):
                 keys[last] = list[below] | None, None  # type: ignore[valid-type]
-            elif last in ("stage", "elastic"):
+            elif name in OPTIONAL:
                 keys[last] = below | None, None
             else:
                 keys[last] = below, below()
@@ -204,6 +212,6 @@ def _nearest(location: list[str]) -> str:
         if name.rpartition(".")[2].lower() == last.lower()
         and name.partition(".")[0] not in (section, "elastic")
     ]
-    if section in ("elastic", "drive.stage", "drive.programme"):
+    if section in (*OPTIONAL, "drive.programme"):
         same = []
     return meant(last, same) or meant(last, here) or "known here: " + ", ".join(here)

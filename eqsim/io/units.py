@@ -11,6 +11,7 @@ from scipy import constants
 from eqsim.catalogue import ENERGY, FORCE, STRESS, Dimension, dimension, product
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, shown
 from eqsim.estimate import OBSERVABLES, Averages, Estimate
+from eqsim.laws.barrier import BARRIERS
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.groups import Group
 
@@ -288,19 +289,24 @@ def scales(ensemble: Ensemble, units: Units, interface: Interface) -> list[Group
     none if neither units nor anything of the interface is given."""
     if not units and not interface:
         return []
-    unit, kelvin = ensemble.thresholds.scale, units.kelvin(ensemble.thermal.kT)
+    unit = ensemble.thresholds.scale
     contacts = interface.contacts(ensemble.count)
     density = interface.density(ensemble.count)
 
     def group(name: str, of: str, value: float, meaning: str) -> Group:
         return Group(f"{name} ({units.label(dimension(of)) or of})", value, meaning)
 
-    found = [group("x_*", "length", unit, "scale of thresholds, a length")]
-    stiffness = ensemble.mean_stiffness
-    found.append(group("k", "force/length", stiffness, "stiffness of a contact"))
-    if kelvin is not None:
-        said = "temperature, kT over the constant of Boltzmann"
-        found.append(Group("T (K)", kelvin, said))
+    found: list[Group] = []
+    for number, alone, *_ in ensemble.kinds:
+        of, k = f"{number}: " * bool(ensemble.populations), alone.stiffness
+        scale, kelvin = alone.thresholds.scale, units.kelvin(alone.thermal.kT)
+        found.append(
+            group(f"{of}x_*", "length", scale, "scale of thresholds, a length")
+        )
+        found.append(group(f"{of}k", "force/length", k, "stiffness of a contact"))
+        if kelvin is not None and not BARRIERS[alone.thermal.barrier].by_force:
+            said = "temperature, kT over the constant of Boltzmann"
+            found.append(Group(f"{of}T (K)", kelvin, said))
     if interface:
         found.append(Group("contacts", contacts, "of the interface"))
     if density is not None:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import special
 
 from eqsim.errors import POSITIVE, InputError, require_number
+from eqsim.laws.no_thresholds import NoThresholds
 from eqsim.laws.threshold import Delta, Gamma, Smooth, ThresholdLaw
 from eqsim.numerics.tables import Array
 
@@ -399,7 +400,7 @@ NAMED: tuple[type[Named], ...] = (
     Uniform,
     Pareto,
 )
-THRESHOLDS: dict[str, Any] = {"gamma": Gamma, "delta": Delta}
+THRESHOLDS: dict[str, Any] = {"gamma": Gamma, "delta": Delta, "none": NoThresholds}
 THRESHOLDS |= {law.name: law for law in NAMED}
 
 
@@ -407,14 +408,17 @@ def threshold_parameters(name: str) -> dict[str, float | None]:
     """The parameters of a law and their defaults, None of those that are required;
     empty for a law that has none."""
     known = fields(THRESHOLDS[name]) if name in THRESHOLDS else ()
-    return {f.name: None if f.default is MISSING else f.default for f in known}
+    return {
+        f.name: None if f.default is MISSING else f.default for f in known if f.init
+    }
 
 
 def law_of(name: str, given: dict[str, float | None]) -> ThresholdLaw:
     """A law of the list from its parameters, None if not given. Raises InputError for a
     parameter that is missing."""
     for key, default in threshold_parameters(name).items():
-        if default is None and given.get(key) is None:
+        optional = THRESHOLDS[name] is NoThresholds
+        if default is None and given.get(key) is None and not optional:
             raise InputError(f'{key}: is required with law = "{name}"')
     known = {key: value for key, value in given.items() if value is not None}
     law: ThresholdLaw = THRESHOLDS[name](**known)

@@ -196,7 +196,7 @@ class Gamma(Continuous):
         return octave_table(FIRST_OCTAVE, u, slope)
 
 
-class _Discrete:
+class Discrete:
     """Properties that laws of finitely many equally likely thresholds share."""
 
     steps: Array
@@ -248,7 +248,7 @@ class _Discrete:
 
 
 @dataclass(frozen=True)
-class Delta(_Discrete):
+class Delta(Discrete):
     """Identical contacts, P_c(x) = delta(x - x_*).
 
     Parameters
@@ -272,7 +272,7 @@ class Delta(_Discrete):
         return np.array([self.x_star])
 
 
-class Table(_Discrete):
+class Table(Discrete):
     """Measured or computed thresholds, resampled with equal weights as they are (the
     empirical law).
 

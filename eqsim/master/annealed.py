@@ -196,11 +196,11 @@ class _Solution:
         if not barrier.thermal:
             return np.zeros(y.size)
         unit = law.scale / contacts.law.scale
-        b = barrier.b * unit**2
+        b = barrier.in_unit(unit)
         if contacts.stiffness == "sqrt":
             b *= law.rms / contacts.law.rms
-        kind, y, log_w = type(barrier), y / unit, barrier.log_w
-        return pooled_rate(law, contacts.stiffness, kind, b, y, log_w, finer=finer)
+        springs, y, log_w = contacts.stiffness, y / unit, barrier.log_w
+        return pooled_rate(law, springs, barrier, b, y, log_w, finer=finer)
 
     def evaluate(self, left: Array, right: Array, _: Array) -> Array:
         """h and J_c of each law at the nodes of panels, shape (2, laws, 17, panels)."""
@@ -323,7 +323,7 @@ def successful_attempts(
     law, stiffness, barrier = contacts.law, contacts.stiffness, contacts.barrier
     b, log_w = barrier.b, barrier.log_w
     if not law.steps.size:
-        h = pooled_rate(law, stiffness, type(barrier), b, y, log_w, finer=finer)
+        h = pooled_rate(law, stiffness, barrier, b, y, log_w, finer=finer)
         return math.exp(log_w) * h
     total, above = np.zeros(y.size), y if above is None else above
     with np.errstate(divide="ignore"):  # a stiff contact at its threshold
@@ -346,7 +346,7 @@ def survivors_of_steps(contacts: Reduced, x: Array) -> Array:
             f"most {_MOST_THRESHOLDS}"
         )
     with np.errstate(divide="ignore"):
-        log_G = np.log(mean_hazard(type(barrier), x, xi, share, barrier.b * kappa))
+        log_G = np.log(mean_hazard(barrier, x, xi, share, barrier.b * kappa))
     dU = np.exp(np.minimum(log_G + barrier.log_w, 7.0))
     above = np.searchsorted(xi, x, side="right")
     tails = [np.cumsum((share * kappa**p)[::-1])[::-1] for p in range(3)]

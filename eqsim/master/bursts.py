@@ -27,6 +27,7 @@ from scipy import special
 from eqsim.errors import InputError
 from eqsim.laws.threshold import ThresholdLaw
 from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import reduced
 from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.roots import bisected
 from eqsim.numerics.tables import Array
@@ -112,9 +113,10 @@ def bursts(ensemble: Ensemble, sizes: ArrayLike) -> Bursts:
     s = np.asarray(sizes, float)
     if s.ndim != 1 or not 0 < s.size <= _MOST_SIZES or np.any((s < 1) | (s % 1 != 0)):
         raise InputError(f"sizes: must be 1 to {_MOST_SIZES} whole numbers >= 1")
-    if ensemble.thermal.kT > 0:
-        said = "must be 0; heat breaks all contacts of a bundle that waits long enough"
-        raise InputError(f"thermal.kT = {ensemble.thermal.kT:g}: {said}")
+    if reduced(ensemble, law.scale).barrier.thermal:
+        raise InputError(
+            "thermal: must be off (kT = 0); heat has no infinite time here"
+        )
     if law.steps.size:
         said = "must have a density: as many as have one threshold break at once"
         raise InputError(f"thresholds = {law!r}: {said}")

@@ -289,8 +289,8 @@ def _pooled_rate_of(law: Gamma, barrier: Barrier) -> Callable[[Array], Array]:
         return np.zeros_like
     low, high = 1e-6, float(law.inverse_survival(60.0)) / law.scale
     log_y = np.linspace(math.log(low), math.log(high), 600)
-    b = barrier.b * law.scale**2
-    h = pooled_rate(law, "uniform", type(barrier), b, np.exp(log_y))
+    b = barrier.in_unit(law.scale)
+    h = pooled_rate(law, "uniform", barrier, b, np.exp(log_y))
     spline = CubicSpline(log_y, np.log(np.maximum(h, 1e-300)))
 
     def rate(x: Array) -> Array:

@@ -71,16 +71,14 @@ def lifetime(ensemble: Ensemble, drive: Programme, *, points: int = 201) -> Life
 
         T = sum_n t_n,    t_n = (1 + g (N - n) t_{n+1})/(n k(F/n)).
 
-    `trajectory` pins contacts unstretched: one that is pinned again bears no force
-    until another one breaks, so that its clusters live otherwise if tau is finite.
-
     Parameters
     ----------
     ensemble : Ensemble
         Up to 100 000 contacts of one threshold that do not age, born unstretched and
         without viscosity, with an infinite or an exponential delay.
     drive : Programme
-        One segment with a constant force, whose instants are those of the survival.
+        One segment with a constant force, whose instants are those of the survival;
+        with `rebinding` "shared" if contacts are pinned again.
     points : int
         How many.
 
@@ -97,7 +95,8 @@ def lifetime(ensemble: Ensemble, drive: Programme, *, points: int = 201) -> Life
     --------
     >>> from eqsim import Delay, Delta, Ensemble, Programme, Segment, Thermal, lifetime
     >>> bonds = Ensemble(Delta(), Thermal(0.2), Delay(5.0, "exponential"), count=10)
-    >>> found = lifetime(bonds, Programme([Segment(force=0.3, time=50.0)]), points=3)
+    >>> creep = Programme([Segment(force=0.3, time=50.0)], rebinding="shared")
+    >>> found = lifetime(bonds, creep, points=3)
     >>> print(f"{found.mean.value:.6f}")
     17.084805
     """
@@ -124,6 +123,9 @@ def chain_of(ensemble: Ensemble, drive: Programme) -> Chain:
         f'delay.time = {delay.time:g}: must be inf, or with law = "exponential" > 0': (
             again and not random
         ),
+        'drive.rebinding: must be "shared", for forces to be equal': (
+            again and drive.rebinding != "shared"
+        ),
         "aging, newborn, viscosity: not in a cluster whose contacts share the force": (
             ensemble.aging.active or ensemble.newborn.active or ensemble.eta
         ),
@@ -131,7 +133,8 @@ def chain_of(ensemble: Ensemble, drive: Programme) -> Chain:
         if wrong:
             raise InputError(said)
     contacts = reduced(ensemble, law.scale)  # whose time is the user's
-    barrier, n, xi = contacts.barrier, np.arange(1.0, N + 1.0), np.ones(N)
+    barrier, n = contacts.barrier, np.arange(1.0, N + 1.0)
+    xi = np.full(N, law.steps[0] / law.scale)
     stretch = (force or 0.0) / law.scale * (N / n)
     log_rate: Array = np.full(N, -math.inf)
     if barrier.thermal:

@@ -14,6 +14,7 @@ import numpy as np
 
 from eqsim.errors import InputError
 from eqsim.estimate import Estimate
+from eqsim.laws.no_thresholds import has_jumps
 from eqsim.master.transient import transient
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
@@ -72,7 +73,7 @@ def tip(ensemble: Ensemble, X: Array, force: Array, top: int) -> tuple[float, fl
     """Distances of a peak in X and in force from a grid point, at most, arrays
     (points,). With discrete thresholds the force has a kink at each, between two
     points. 0 for other laws, whose peaks are round."""
-    if not ensemble.thresholds.steps.size:
+    if not has_jumps(ensemble.thresholds):
         return 0.0, 0.0
     return float(X[top] - X[top - 1]), float(max(force[top] - force[top - 1], 0.0))
 

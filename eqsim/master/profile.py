@@ -9,6 +9,7 @@ from numpy.polynomial import chebyshev
 
 from eqsim.laws.aging import Langevin
 from eqsim.laws.newborn import DeltaBirths
+from eqsim.laws.no_thresholds import has_jumps
 from eqsim.master.fokker_planck import survival_of_fluctuating
 from eqsim.master.newborn import law_of_births
 from eqsim.master.quenched import ends, panels_between_steps, rarest_that_counts
@@ -86,7 +87,7 @@ def profile_of(contacts: Reduced, x: Array | None = None) -> Profile:
     InputError
         Where a solver refuses the contacts.
     """
-    stepped = contacts.law.steps.size > 0 and not contacts.newborn.active
+    stepped = has_jumps(contacts.law) and not contacts.newborn.active
     known = np.empty(0) if x is None else x
     profile: Profile = _Steps(contacts, known) if stepped else SmoothLife(contacts)
     # moments by another quadrature: what this one misses is part of the error
@@ -166,7 +167,7 @@ class SmoothLife:
     def __init__(self, contacts: Reduced) -> None:
         self.jumps = (
             contacts.newborn.active
-            and contacts.law.steps.size > 0
+            and has_jumps(contacts.law)
             and isinstance(law_of_births(contacts), DeltaBirths)
         )
         fluctuating = isinstance(contacts.aging, Langevin)

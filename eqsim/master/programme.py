@@ -34,6 +34,7 @@ from eqsim.estimate import Estimate
 from eqsim.laws.aging import Unaged
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.delay import Fixed
+from eqsim.laws.no_thresholds import NoThresholds, has_jumps
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw
 from eqsim.master.annealed import successful_attempts
 from eqsim.master.cohorts import (
@@ -343,6 +344,25 @@ def _typical(contacts: Reduced, reach: float) -> float:
     return float(np.mean(law.inverse_survival(-np.log1p(-share * ranks)))) / law.scale
 
 
+def outlived(contacts: Reduced) -> Array:
+    """Stretches that 1/e and e^-36 of contacts without delay outlive, shape (2,), if
+    none or the median threshold is in the way."""
+    law, barrier = contacts.law, contacts.barrier
+    xi = np.array([float(law.inverse_survival(math.log(2.0))) / law.scale])
+    a = barrier.b * kappa_of(contacts, xi)
+    return np.minimum(barrier.stretch_at(np.log([1.0, 36.0]), xi, a)[0], xi)
+
+
+def _lift(contacts: Reduced) -> float:
+    """ln of how far the rate at which heat breaks contacts rises beyond that of
+    attempts, as it does where force alone decides."""
+    barrier = contacts.barrier
+    if not barrier.by_force:
+        return 0.0
+    last = outlived(contacts)[-1:]
+    return max(float(barrier.log_rate(last, last, barrier.b)[0]), 0.0)
+
+
 def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
     """Resolution of contacts that are stretched by no more than `reach`. Raises
     InputError for contacts whose lives are too different for a stationary start."""
@@ -352,6 +372,9 @@ def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
     exponents = np.array([0.17, 1.8, 36.0])
     low, high, strongest = np.asarray(law.inverse_survival(exponents)) / law.scale
     typical = law.mean / law.scale if v else _typical(contacts, reach)
+    if isinstance(law, NoThresholds):
+        one, strongest = outlived(contacts)
+        typical = min(one, reach)
     width = typical
     if high > low:
         width = min(max(1.5 * (high - low), 0.02 * typical), typical)
@@ -378,7 +401,7 @@ def solve(contacts: Reduced, course: Course) -> tuple[Array, Array, list[History
     grown = np.append(np.abs(growth[:-1] - 1.0) > _LEAST_GROWTH, True)
     quickest = min(1.0, delay.mean or 1.0, float(ages[np.argmax(grown)]))
     if thermal:
-        quickest = min(quickest, math.exp(-contacts.barrier.log_w))
+        quickest = min(quickest, math.exp(-contacts.barrier.log_w - _lift(contacts)))
     fixed, changes = isinstance(delay, Fixed), not isinstance(aging, Unaged)
     sharp = sharp_instants(
         Corners(corners, X),
@@ -493,7 +516,7 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
     unit, time = ensemble.thresholds.scale, grid.t[-1]
     kinks, edges, solved = solve(contacts, course)
     t, finest = np.minimum(grid.t / time, 1.0), solved[-1]
-    jumps = np.searchsorted(edges, kinks) if contacts.law.steps.size else None
+    jumps = np.searchsorted(edges, kinks) if has_jumps(contacts.law) else None
     grids = [np.array(history[:3]) for history in solved]
     best, errors = _extrapolated_means(edges, grids, jumps)
     # the variance is interpolated: it is nearer to linear than the mean square

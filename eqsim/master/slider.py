@@ -24,6 +24,7 @@ import numpy as np
 
 from eqsim.errors import InputError
 from eqsim.estimate import Estimate
+from eqsim.laws.no_thresholds import has_jumps
 from eqsim.master.cohorts import (
     NO_CHOICES,
     Choices,
@@ -436,7 +437,7 @@ def solutions_of(
     coarse = best
     off = np.zeros_like(best)
     off[:, kept] = np.abs(np.array(best)[:, kept] - fewer)
-    discrete = ensemble.thresholds.steps.size > 0
+    discrete = has_jumps(ensemble.thresholds)
     if steps <= (_STEPS_OF_DISCRETE if discrete else _STEPS_OF_FEW_SLIPS):
         best, _ = solved(task._replace(halved=True), 4)
         off = np.abs(np.array(best) - coarse) + 0.5 * off
@@ -506,6 +507,8 @@ def task_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> PulledTask:
     stage, pull = programme.stage, pull_of(ensemble, programme)
     contacts, course = course_of(ensemble, programme)
     unit, time = ensemble.thresholds.scale, float(grid.t[-1])
+    if programme.rebinding == "shared":
+        raise InputError('drive.rebinding = "shared": has no mean field')
     spring = Spring(
         stiffness=0.0,
         damping=0.0,
@@ -515,7 +518,7 @@ def task_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> PulledTask:
         stretch=0.0,
         velocity=course.before,
         heat=contacts.barrier.thermal,
-        discrete=contacts.law.steps.size > 0,
+        discrete=has_jumps(contacts.law),
     )
     if stage is not None:
         if stage.mass and pull.motor:

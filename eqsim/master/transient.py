@@ -32,6 +32,7 @@ from scipy.interpolate import CubicSpline
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.estimate import known
 from eqsim.laws.delay import Exponential, Fixed
+from eqsim.laws.no_thresholds import has_jumps
 from eqsim.master import programme, slider
 from eqsim.master.profile import Profile, profile_of
 from eqsim.master.programme import Transient as Transient
@@ -111,7 +112,7 @@ def transient(
     [0.0, 0.8579, 0.8727, 0.8897]
     """
     require_integer("points", points, 2, 10**8)
-    pulled = isinstance(drive, Programme) and drive.stage
+    pulled = isinstance(drive, Programme) and drive.pulled
     if ensemble.populations and not pulled:
         way, kinds = over_distance(drive, ensemble), ensemble.kinds
         each = [transient(x.contacts, way, points, variance=variance) for x in kinds]
@@ -203,7 +204,7 @@ class Cells(NamedTuple):
 def cells_of(contacts: Reduced, distance: float, points: int) -> Cells:
     """Cells that resolve the lives of contacts, and those in step as far as
     possible."""
-    discrete = contacts.law.steps.size > 0
+    discrete = has_jumps(contacts.law)
     least = min(max(distance / _CELL_PER_THRESHOLD, _LEAST_CELLS), _MOST_CELLS)
     finest = _FINEST
     if discrete:  # every threshold takes time in every cell

@@ -21,6 +21,7 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
 Start = Literal["fresh", "stationary"]
+Rebinding = Literal["unstretched", "shared"]
 
 
 @dataclass(frozen=True)
@@ -250,6 +251,11 @@ class Programme:
             Y' = u (1 - |F|/s),
 
         with u the velocity of the segment. By default it never stops.
+    rebinding : str
+        How a contact forms again under a force: "unstretched", as elsewhere, or
+        "shared", with the displacement of the slider as its stretch, so that all
+        contacts share the force equally, as in clusters of adhesion bonds (Erdmann and
+        Schwarz, 2004).
 
     Examples
     --------
@@ -263,6 +269,7 @@ class Programme:
     velocity: float | None = None
     stage: Stage | None = None
     stall_force: float = math.inf
+    rebinding: Rebinding = "unstretched"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "segments", tuple(self.segments))
@@ -279,8 +286,11 @@ class Programme:
             raise InputError('velocity: is required with start = "stationary"')
         if self.stall_force != math.inf:
             require_number("stall_force", self.stall_force, **POSITIVE)
+        require_choice("rebinding", self.rebinding, ("unstretched", "shared"))
         if any(segment.forced for segment in self.segments):
             self._require_forces()
+        elif self.rebinding == "shared":
+            raise InputError('rebinding = "shared": needs a force')
         with under("programme"):
             duration = sum(segment.duration for segment in self.segments)
             require_number("time", duration, **POSITIVE)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 from eqsim.errors import (
@@ -21,6 +20,7 @@ from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.barrier.pooled import pooled_hazard_of
 from eqsim.laws.delay import Delay
 from eqsim.laws.newborn import Newborn
+from eqsim.laws.no_thresholds import NoThresholds
 from eqsim.laws.stiffness import StiffnessLaw
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.threshold import Gamma, ThresholdLaw, diverges, tail_exponent
@@ -101,7 +101,8 @@ class Ensemble:
     thresholds : ThresholdLaw
         Law of newborn threshold stretches (length): `Gamma`, `Delta`, another by name
         (`Lognormal`, `Weibull`, `Exponential`, `Normal`, `Uniform`, `Pareto`), `Table`
-        or `Distribution`.
+        or `Distribution`; or `NoThresholds` of contacts that only heat breaks, which
+        are alike: stiffness and disorder are "uniform" and "quenched" then.
     thermal : Thermal
         Temperature, attempt frequency and barrier.
     delay : Delay
@@ -164,13 +165,15 @@ class Ensemble:
         require_choice("stiffness_law", self.stiffness_law, ("sqrt", "uniform"))
         require_choice("disorder", self.disorder, ("quenched", "annealed"))
         require_number("eta", self.eta, **NOT_NEGATIVE)
+        if isinstance(self.thresholds, NoThresholds):
+            self._make_unlimited(self.thresholds)
         self.aging.check(self.thresholds, self.disorder)
         with under("newborn"):
             self.newborn.check(self.thresholds, self.disorder, self.aging.active)
         object.__setattr__(self, "populations", tuple(self.populations))  # for its hash
         _ = self.kinds
 
-    @cached_property
+    @property
     def kinds(self) -> tuple[Kind, ...]:
         """The kinds of contacts, but for populations that none of the N belongs to.
         Raises InputError for laws that do not go together."""
@@ -197,17 +200,34 @@ class Ensemble:
         """k (force/length), the mean over all contacts."""
         return math.fsum(kind.share * kind.contacts.stiffness for kind in self.kinds)
 
+    def _make_unlimited(self, law: NoThresholds) -> None:
+        """Adapt contacts without thresholds, whose typical stretch follows from the
+        bond. Raises InputError for what needs thresholds."""
+        heat, aging, newborn = self.thermal, self.aging, self.newborn
+        force = heat.slip.force if heat.slip else heat.force_scale
+        of_threshold = newborn.active and newborn.of == "threshold"
+        for key, value, wrong in (
+            ("thermal.barrier", heat.barrier, force is None),
+            ("aging.rule", aging.rule, aging.rule != "none"),
+            ("newborn.of", newborn.of, of_threshold),
+        ):
+            if wrong:
+                said = 'not allowed with thresholds.law = "none"'
+                raise InputError(f'{key} = "{value}": {said}')
+        with under("thresholds"):
+            law = law.of_bond((force or math.inf) / self.stiffness)
+        object.__setattr__(self, "thresholds", law)
+        object.__setattr__(self, "stiffness_law", "uniform")
+        object.__setattr__(self, "disorder", "quenched")
+
     def declared(self, velocity: float) -> tuple[Any, ...]:
         """List what a life depends on, as it was declared, for the names of random
         streams: texts and dimensionless numbers, which are products and ratios and so
         the same in other units and on other machines."""
         thermal, delay, aging = self.thermal, self.delay, self.aging
         unit, *law = self.thresholds.declared
-        heat = (
-            thermal.barrier,
-            thermal.kT / (self.stiffness * unit * unit),
-            thermal.attempt_frequency * unit / velocity,
-        )
+        barrier = BARRIERS[thermal.barrier]
+        numbers = barrier.declared(thermal, self.stiffness, unit, velocity)
         rule = "pooled" if self.disorder == "annealed" else aging.rule
         ages = (rule, *aging.declared(unit, velocity)) if aging.active else ()
         born = self.newborn.declared if self.newborn.active else ()
@@ -217,7 +237,8 @@ class Ensemble:
             self.disorder,
             self.stiffness_law,
             *law,
-            *heat,
+            thermal.barrier,
+            *numbers,
             delay.law,
             self.delay_time(velocity) * velocity / unit,
             *delay.parameters,
@@ -280,21 +301,28 @@ class Ensemble:
     @property
     def b(self) -> float:
         """k x_*^2/(2 kT), eq. (21) of Braun and Peyrard (2011), with the scale x_* of
-        the threshold law. Infinite at kT = 0."""
-        energy = 0.5 * self.stiffness * self.thresholds.scale * self.thresholds.scale
-        kT = self.thermal.kT
-        return energy / kT if kT > energy * 1e-300 else math.inf
+        the threshold law. Infinite at kT = 0. Of bonds whose rate depends on the force
+        alone, k x_* over the scale of force."""
+        return self._barrier_numbers[0]
+
+    @property
+    def _barrier_numbers(self) -> tuple[float, ...]:
+        law, unit = BARRIERS[self.thermal.barrier], self.thresholds.scale
+        return law.numbers(self.thermal, self.stiffness, unit)
 
     @property
     def crossover_velocity(self) -> float:
         """v_* (length/time) of the annealed ensemble of newborn thresholds, where
         Delta U(inf) = 1: eq. (26) of Braun and Peyrard (2011) with S_0 = 1, for every
-        law (derived). 0 at kT = 0."""
-        thermal = self.thermal
-        if math.isinf(self.b) or thermal.attempt_frequency == 0:
+        law (derived). 0 at kT = 0, infinite without thresholds."""
+        b, rate, *others = self._barrier_numbers
+        if math.isinf(b) or rate == 0:
             return 0.0
-        barrier: Any = BARRIERS[thermal.barrier]
-        pool = pooled_hazard_of(self.thresholds, self.stiffness_law, barrier, self.b)
+        if isinstance(self.thresholds, NoThresholds):
+            return math.inf
+        law: Any = BARRIERS[self.thermal.barrier]
+        barrier = law(b, 0.0, *others)
+        pool = pooled_hazard_of(self.thresholds, self.stiffness_law, barrier, b)
         # no attempt succeeds at very low temperature
         total = pool.G[-1] if pool.G.size else 0.0
-        return float(thermal.attempt_frequency * self.thresholds.scale * total)
+        return float(rate * self.thresholds.scale * total)

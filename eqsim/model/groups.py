@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS
 from eqsim.model.drive import Drive, Programme, over_distance
 from eqsim.model.elastic import Elastic
@@ -60,14 +61,21 @@ def _of_contacts(ensemble: Ensemble, v: float) -> Rows:
     two = "quenched: literal contacts; annealed: the published master equation"
     yield "disorder", ensemble.disorder, two
     yield "x_star", unit, "unit of length: x_* of the threshold law, or its mean"
-    yield "b", b, f"k x_*^2 / (2 kT), barrier over temperature ({equation('nt08a')})"
-    cold = f"temperature over its crossover ({equation('nt09a')})"
-    yield "T/T_*", 0.0 if math.isinf(b) else 1.0 / b, cold
-    if thermal.attempt_frequency > 0:
-        reduced = v / (thermal.attempt_frequency * unit)
-        yield "v/(omega x_*)", reduced, "velocity in x_* per attempt"
+    barrier = BARRIERS[thermal.barrier]
+    rate = barrier.numbers(thermal, ensemble.stiffness, unit)[1]
+    name, said = "v/(omega x_*)", "velocity in x_* per attempt"
+    if barrier.by_force:
+        yield "b", b, f"{barrier.b_words}, force at x_* of a {thermal.barrier} bond"
+        name, said = "v/(k_0 x_*)", "velocity in x_* per mean life at zero force"
+    else:
+        said_of_b = f"barrier over temperature ({equation('nt08a')})"
+        yield "b", b, f"k x_*^2 / (2 kT), {said_of_b}"
+        cold = f"temperature over its crossover ({equation('nt09a')})"
+        yield "T/T_*", 0.0 if math.isinf(b) else 1.0 / b, cold
+    if rate > 0:
+        yield name, v / (rate * unit), said
     star = ensemble.crossover_velocity if law.steps.size <= MOST_POOLED_STEPS else 0.0
-    if star > 0:
+    if 0 < star < math.inf:
         where = "" if annealed else ", not of these quenched contacts"
         solved = f"Delta U(inf) = 1 ({equation('nt12')}; derived)"
         yield (
@@ -125,13 +133,15 @@ def _of_tails(ensemble: Ensemble) -> Rows:
         ensemble.thresholds.support[1],
     )
     quenched = ensemble.disorder == "quenched"
-    if not (ensemble.thermal.kT > 0 and quenched) or law.steps.size:
+    if not (ensemble.thermal.active and quenched) or law.steps.size:
         return
     if greatest < math.inf:
         yield "heavy tails", "no", f"no threshold exceeds {greatest:g}"
     elif aging.active and aging.cutoff_time is not None:
         why = "at every kT: thresholds that grow as ln t outlive all attempts"
         yield "heavy tails", "yes", why
+    elif BARRIERS[ensemble.thermal.barrier].by_force:
+        yield "heavy tails", "no", "no: rates do not fall with the threshold"
     elif ensemble.stiffness_law == "sqrt":
         why = "k_i grows with the threshold, so barriers outgrow their rarity"
         yield "heavy tails", "yes", f"at every kT: {why}"
@@ -165,12 +175,17 @@ def _of_blocks(contacts: int, elastic: Elastic) -> Rows:
 def doubts(ensemble: Ensemble, drive: Drive | Programme | None) -> Iterator[str]:
     """Warn about dimensionless groups so extreme that units were probably mixed, a line
     for each. Without a drive the distance does not count."""
+    if ensemble.populations:
+        for kind in ensemble.kinds:
+            yield from doubts(kind.contacts, drive)
+        return
     b, unit = ensemble.b, ensemble.thresholds.scale
     are = f"are all numbers in the same units? Thresholds are about {unit:.3g}"
     if ensemble.thresholds.steps.size:
         are += "; thresholds.scale = 1e-9 turns those of a table from nm into m"
-    if ensemble.thermal.kT > 0 and not 1.0 / _DOUBTFUL_B <= b <= _DOUBTFUL_B:
-        yield f"b = k x_*^2/(2 kT) = {b:.3g}, energy of a contact over heat: {are}"
+    words = BARRIERS[ensemble.thermal.barrier].b_words
+    if ensemble.thermal.active and not 1.0 / _DOUBTFUL_B <= b <= _DOUBTFUL_B and b:
+        yield f"b = {words} = {b:.3g}, energy of a contact over heat: {are}"
     if isinstance(drive, Drive):
         distance = drive.over(ensemble) / unit
         if distance < _DOUBTFUL_DISTANCE:

@@ -63,15 +63,15 @@ def mixed_averages(
     """Average over all contacts at a velocity. Errors are standard errors, with the
     degrees of freedom of Welch and Satterthwaite, or `bounds`, which add up."""
     share = np.array([kind.share for kind in kinds])
-    laws = [(kind.contacts.delay, kind.contacts.thresholds.scale) for kind in kinds]
-    waits = [delay.reduced(velocity, unit).mean * unit for delay, unit in laws]
+    waits = [velocity * kind.contacts.delay_time(velocity) for kind in kinds]
 
     def column(name: str, of: str = "value") -> Array:
         # None becomes NaN
         return np.array([getattr(getattr(each, name), of) for each in found], float)
 
     rate = 1.0 / (column("travel") + waits)
-    of_breaks = share * rate / float(share @ rate)
+    with np.errstate(invalid="ignore"):  # no breaks where none forms again
+        of_breaks = share * rate / np.sum(share * rate)
     factors = {"friction": "weight", "pinned": "share", "force_variance": "square"}
     mixed = {}
     for name in OBSERVABLES:
@@ -89,11 +89,12 @@ def mixed_averages(
         every = [getattr(each, name) for each in found]
         stderr = float(np.sum(errors) if bounds else np.sqrt(errors @ errors))
         spread = float(np.nansum(errors**4 / column(name, "dof")))
+        known = math.isfinite(stderr)
         mixed[name] = Estimate(
             None if math.isnan(mean) else mean,
-            None if math.isnan(stderr) else stderr,
+            stderr if known else None,
             sum(each.n for each in every),
-            math.floor(stderr**4 / spread) if spread > 0.0 else None,
+            math.floor(stderr**4 / spread) if known and spread > 0.0 else None,
             all(each.reliable for each in every),
         )
         if any(each.diverges for each in every):

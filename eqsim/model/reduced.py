@@ -7,6 +7,9 @@ energy in units of kT. What a key of a run file is called afterwards, and where:
 
     thermal.kT                 b         k x_*^2/(2 kT)         barrier, `Ensemble.b`
     thermal.attempt_frequency  log_w     ln(omega x_*/v)        barrier
+    thermal.force_scale        b         k x_*/f_b              barrier
+    thermal.off_rate           log_w     ln(k_0 x_*/v)          barrier
+    thermal.catch, .slip       the same, and ratios             `CatchSlip`
     aging.rate                 alpha     4 D x_*/(v x_*f^2)     aging, `Aging.alpha`
     aging.x_star_final         final2    (x_*f/x_*)^2           aging
     aging.cutoff_time          per_time  x_*/(v t_c)            aging
@@ -29,7 +32,9 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, under
 from eqsim.laws.aging import AgingLaw, Unaged
@@ -37,14 +42,22 @@ from eqsim.laws.barrier import BARRIERS, Barrier, Mechanical
 from eqsim.laws.barrier.base import require_whole
 from eqsim.laws.delay import Delay, DelayLaw
 from eqsim.laws.newborn import Newborn
+from eqsim.laws.no_thresholds import BEYOND, NoThresholds
 from eqsim.laws.stiffness import Springs, StiffnessLaw
 from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.laws.viscosity import Viscosity
 from eqsim.model.drive import Programme
 from eqsim.model.ensemble import Ensemble
+from eqsim.numerics.tables import Array
 
+# Hazard that no contact outlives.
+_SPENT = 100.0
 # b below which the barrier is 0.
 _LEAST_B = 1e-100
+# Relative difference of times that are the same but for rounding.
+_SAME_TIME = 1e-12
+# b up to which rates that rise to exp(`laws.barrier.bell.MOST`) break all bonds.
+_MOST_OVER_FORCE = 1e80
 # b above which a pooled hazard would be made of differences between neighbouring
 # numbers.
 _LARGEST_POOLED_B = 1e15
@@ -130,6 +143,8 @@ def reduced(
     law, aging = births(ensemble, velocity, mean_stretch), ensemble.aging
     unit, newborn = law.scale, law is ensemble.thresholds
     barrier = _barrier(ensemble, velocity, unit)
+    if isinstance(law, NoThresholds):
+        _check_unlimited(law, barrier)
     annealed = ensemble.disorder == "annealed"
     return Reduced(
         law=law,
@@ -173,7 +188,7 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
     speeds = {abs(segment.velocity) for segment in programme.segments}
     if programme.start == "stationary":
         speeds.add(programme.velocity or 0.0)
-    if ensemble.delay.velocity_exponent and (len(speeds) > 1 or programme.stage):
+    if ensemble.delay.velocity_exponent and (len(speeds) > 1 or programme.pulled):
         raise InputError(
             f"delay.velocity_exponent = {ensemble.delay.velocity_exponent:g}: must be 0 "
             "with a stage, a hold, and segments of several velocities"
@@ -183,7 +198,7 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
     drag = ensemble.viscosity
     bent = ensemble.eta * (drag.exponent - 1.0)
     for name, wrong, allowed in (("force", drag.force, 0), ("exponent", bent, 1)):
-        if wrong and programme.stage:
+        if wrong and programme.pulled:
             raise InputError(
                 f"viscosity.{name} = {getattr(drag, name):g}: must be {allowed} with "
                 "drive.stage, whose slider has a drag in proportion to its velocity"
@@ -242,6 +257,34 @@ class Pull(NamedTuple):
     def motor(self) -> bool:
         """True if a motor with a finite stall force drives."""
         return self.stall < math.inf
+
+    @property
+    def forced(self) -> bool:
+        """True if a force pulls the slider itself."""
+        return self.stiffness == 0.0 and not self.motor
+
+    def force_at(self, t: Array) -> Array:
+        """f at times t (any shape); at the end of a segment that of this segment."""
+        last = len(self.ends) - 1
+        i = np.minimum(np.searchsorted(self.ends, t * (1.0 - _SAME_TIME)), last)
+        since = t - np.append(0.0, self.ends)[i]
+        return np.asarray(
+            np.array(self.forces)[i] + np.array(self.force_rates)[i] * since
+        )
+
+    @property
+    def knots(self) -> tuple[Array, Array]:
+        """Times and forces at the ends of straight pieces of f(t), from 0 and 0 on."""
+        begins = np.append(0.0, self.ends[:-1])
+        t = np.stack((begins, self.ends), axis=1).ravel()
+        f = np.stack((self.forces, self.force_at(np.array(self.ends))), axis=1).ravel()
+        return np.append(0.0, t), np.append(0.0, f)
+
+    @property
+    def slow(self) -> bool:
+        """True if the force never falls, and never jumps."""
+        dt, df = map(np.diff, self.knots)
+        return bool(np.all((df == 0.0) | ((df > 0.0) & (dt > 0.0))))
 
 
 def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
@@ -330,27 +373,42 @@ def drag_of(ensemble: Ensemble, velocity: float) -> float:
     return drag
 
 
+def _check_unlimited(law: NoThresholds, barrier: Barrier) -> None:
+    """Raise InputError unless contacts without thresholds break within what stands for
+    an infinite one."""
+    if not barrier.thermal:
+        raise InputError(
+            'thresholds.law = "none": needs a rate > 0 that breaks contacts'
+        )
+    if barrier.whole_hazard(np.array([BEYOND]), np.ones(1))[0] < _SPENT:
+        said = f"contacts outlive {BEYOND:g} of it; give about velocity/rate"
+        raise InputError(f"thresholds.x_star = {law.scale:g}: {said}")
+
+
 def _barrier(ensemble: Ensemble, velocity: float, unit: float) -> Barrier:
     """The barrier, or none where heat breaks contacts too rarely to change any average
     by 1e-10. Raises InputError for annealed contacts if it does and b is beyond 1e15.
     """
-    thermal, b = ensemble.thermal, ensemble.b
-    law = BARRIERS[thermal.barrier]
-    if thermal.attempt_frequency == 0 or math.isinf(b):
+    thermal = ensemble.thermal
+    law: Any = BARRIERS[thermal.barrier]
+    b, rate, *others = law.numbers(thermal, ensemble.stiffness, unit)
+    if rate == 0 or math.isinf(b):
         return Mechanical()
+    if law.by_force:
+        require_number(law.b_words, b, least=0.0, most=_MOST_OVER_FORCE)
     if ensemble.disorder == "quenched":
         if b >= law.flat_out:
             return Mechanical()
     elif b > _LARGEST_POOLED_B:
         # a life's hazard is below attempts/b
-        if thermal.attempt_frequency / velocity * unit < 1e-11 * b:
+        if rate / velocity * unit < 1e-11 * b and not law.by_force:
             return Mechanical()
         said = f"must be <= {_LARGEST_POOLED_B:g} for annealed contacts"
-        raise InputError(f"k x_*^2/(2 kT) = {b:.3g}: {said}")
-    log_w = math.log(thermal.attempt_frequency) + math.log(unit) - math.log(velocity)
-    name = "ln(attempt_frequency * threshold / velocity)"
+        raise InputError(f"{law.b_words} = {b:.3g}: {said}")
+    log_w = math.log(rate) + math.log(unit) - math.log(velocity)
+    name = f"ln({law.keys[1]} * threshold / velocity)"
     require_number(name, log_w, least=-230, most=230)
-    # every law is a NamedTuple of these two
-    barrier: Barrier = law(max(b, _LEAST_B), log_w)  # type: ignore[call-arg]
+    # every law is a NamedTuple that begins with these two
+    barrier: Barrier = law(max(b, _LEAST_B), log_w, *others)
     require_whole(thermal.barrier, barrier)
     return barrier

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from eqsim.estimate import Estimate
 from eqsim.numerics.tables import Array
-from eqsim.plots.panels import DOTS, Caption
+from eqsim.plots.panels import DOTS, Caption, draw_sizes
 from eqsim.plots.runs import replica_spread
 from eqsim.plots.style import styled
 from eqsim.results import draw_band
@@ -16,7 +16,6 @@ from eqsim.results import draw_band
 if TYPE_CHECKING:
     from eqsim.engine.records import ElasticTrajectory
 
-_BINS_PER_DECADE = 8  # bins of a histogram of sizes
 _BRIGHTEST = 0.999  # quantile of an image at which its scale ends
 _MOST_PIXELS = 1000  # pixels of an image along each side
 
@@ -54,21 +53,10 @@ def avalanches_figure(run: "ElasticTrajectory", law: Array, caption: Caption) ->
     left, right = figure.subplots(1, 2)
     late = run.avalanches["D"] > 0.5 * run.D[-1]
     breaks, blocks = run.avalanches["breaks"][late], run.avalanches["blocks"][late]
-    most = int(breaks.max(initial=1))
-    count = int(np.ceil(_BINS_PER_DECADE * np.log10(most + 1.0))) + 1
-    edges = np.unique(np.rint(np.geomspace(1, most + 1, count)).astype(int)) - 0.5
-    width, centre = np.diff(edges), np.sqrt((edges[:-1] + 0.5) * (edges[1:] - 0.5))
+    edges, centre = draw_sizes(left, breaks, breaks.size, law, "avalanches")
+    left.set(ylabel="probability  $P(s)$")
     seen, bins = np.histogram(breaks, edges)[0], np.digitize(breaks, edges) - 1
-    shown = seen > 0
-    share = (1.0 / max(breaks.size, 1) / width)[shown]
-    density, error = share * seen[shown], 2 * share * np.sqrt(seen[shown])
-    label = f"{breaks.size} simulated avalanches ± 2 roots of their number"
-    left.errorbar(centre[shown], density, error, color="C0", label=label, **DOTS)
-    if law.size:
-        sizes = np.arange(1, law.size + 1)
-        left.plot(sizes, law, color="k", label="infinitely many contacts (M/G/1)")
-    lowest = max(0.2 * density.min(initial=1.0), 1e-300)
-    left.set(xlim=(0.8, 1.3 * most), ylim=(lowest, 2.0), ylabel="probability  $P(s)$")
+    shown, most = seen > 0, int(breaks.max(initial=1))
     mean = np.bincount(bins, blocks, minlength=seen.size)[shown] / seen[shown]
     label = "mean of the avalanches of that size"
     squares = DOTS | {"color": "C1", "marker": "s"}

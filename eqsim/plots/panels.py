@@ -14,6 +14,7 @@ from eqsim.io.runfile import RunFile
 from eqsim.io.units import Quantity, Units
 from eqsim.numerics.tables import Array
 
+_BINS_PER_DECADE = 8  # bins of a histogram of sizes
 EXACT: dict[str, Any] = {"color": "k", "linewidth": 0.8, "linestyle": ":"}
 DOTS: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4}
 
@@ -96,6 +97,29 @@ def scores(axes: Axes, z: Array, label: str = "difference") -> None:
     limit = max(4.0, 1.1 * np.abs(z).max())
     axes.axhspan(-2, 2, color="0.9")
     axes.set(ylim=(-limit, limit), ylabel=f"{label}\n[standard errors]")
+
+
+def draw_sizes(
+    axes: Axes, breaks: Array, per: int, law: Array, name: str
+) -> tuple[Array, Array]:
+    """Draw numbers of avalanches or bursts of each size over `per`, beside the `law` of
+    sizes 1, 2, ...; returns edges of bins and their centres."""
+    most = int(breaks.max(initial=1))
+    count = int(np.ceil(_BINS_PER_DECADE * np.log10(most + 1.0))) + 1
+    edges = np.unique(np.rint(np.geomspace(1, most + 1, count)).astype(int)) - 0.5
+    width, centre = np.diff(edges), np.sqrt((edges[:-1] + 0.5) * (edges[1:] - 0.5))
+    seen = np.histogram(breaks, edges)[0]
+    shown = seen > 0
+    share = (1.0 / max(per, 1) / width)[shown]
+    density, error = share * seen[shown], 2 * share * np.sqrt(seen[shown])
+    label = f"{breaks.size} simulated {name} ± 2 roots of their number"
+    axes.errorbar(centre[shown], density, error, color="C0", label=label, **DOTS)
+    if law.size:
+        exact = "infinitely many contacts, exact"
+        axes.plot(np.arange(1, law.size + 1), law, color="k", label=exact)
+    lowest = max(0.2 * density.min(initial=1.0), 1e-300)
+    axes.set(xlim=(0.8, 1.3 * most), ylim=(lowest, 2.0), xscale="log", yscale="log")
+    return edges, centre
 
 
 def legend_below(figure: Figure, drawn: dict[str, Any]) -> None:

@@ -9,7 +9,14 @@ from matplotlib.figure import Figure
 from eqsim.catalogue import TIME, VELOCITY
 from eqsim.estimate import Estimate
 from eqsim.numerics.tables import Array
-from eqsim.plots.panels import EXACT, Caption, in_errors, legend_below, scores
+from eqsim.plots.panels import (
+    EXACT,
+    Caption,
+    draw_sizes,
+    in_errors,
+    legend_below,
+    scores,
+)
 from eqsim.plots.style import styled
 from eqsim.results import draw_band
 
@@ -218,6 +225,20 @@ def slider_figure(
     if np.abs(velocity).max() > _FAST * driven > 0:
         phase.set_xscale("symlog", linthresh=driven)
     legend_below(figure, drawn)
+    return figure
+
+
+@styled
+def sizes_figure(breaks: Array, per: int, law: Array, caption: Caption) -> Figure:
+    """Draw the sizes of avalanches behind a stage, as probabilities, or of bursts under
+    a force, over the number of contacts, beside the exact law."""
+    figure = Figure(figsize=(6.5, 4.8))
+    axes = figure.subplots()
+    bursts = per != breaks.size
+    draw_sizes(axes, breaks, per, law, "bursts" if bursts else "avalanches")
+    label = "bursts over contacts  $D(s)/N$" if bursts else "probability  $P(s)$"
+    axes.set(xlabel="breaks  $s$", ylabel=label, title=caption.heading)
+    axes.legend(loc="lower left")
     return figure
 
 

@@ -169,6 +169,11 @@ def _table_row(score: Score) -> dict[str, Any]:
     row: dict[str, Any] = {"kind": score.kind, "disorder": ensemble.disorder}
     row |= {"barrier": thermal.barrier, "stiffness_law": ensemble.stiffness_law}
     row |= {"thresholds": law_text(ensemble.thresholds), "kT": thermal.kT}
+    row |= {"off_rate": thermal.off_rate, "force_scale": thermal.force_scale}
+    for name in ("catch", "slip"):
+        path = getattr(thermal, name)
+        row[f"{name}_rate"] = getattr(path, "rate", None)
+        row[f"{name}_force"] = getattr(path, "force", None)
     row |= {"aging": aging.rule, "aging_rate": aging.rate}
     row |= {name: getattr(aging, name) if name in takes else None for name in others}
     delay, newborn = ensemble.delay, ensemble.newborn

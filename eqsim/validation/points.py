@@ -7,7 +7,7 @@ lognormal laws (sigma 0.1 to 2), Weibull laws (shape 0.4 to 10: at low ones the 
 is infinite at 0) and Pareto laws (exponent 3.05 to 10: a finite third moment); uniform,
 triangular and log-Laplace laws, whose densities have jumps and kinks; beta laws with
 infinite densities at both ends; histograms with gaps; and narrow laws (standard
-deviation over mean 1e-3 to 0.02). A third of the quenched ones among these grow as the
+deviation over mean 1e-3 to 0.02); some bonds have none. A third of the quenched ones among these grow as the
 logarithm of their age, by 1e-3 to 3 per e-fold, from 1e-6 to 100 x_*/v on. Velocities
 are 1e-4 to 100 omega x_*, temperatures 0 or 0.01 to 3 k x_*^2 (of the mean threshold
 where there is no x_*), delays 0 or 1e-3 to 1e3 mean lives.
@@ -31,7 +31,8 @@ from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.delay import DELAYS, PARAMETERS, Delay
 from eqsim.laws.named import Lognormal
 from eqsim.laws.newborn import Newborn
-from eqsim.laws.thermal import Thermal
+from eqsim.laws.no_thresholds import NoThresholds
+from eqsim.laws.thermal import Pathway, Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table, ThresholdLaw
 from eqsim.model.ensemble import Ensemble
 
@@ -106,7 +107,7 @@ def sample(
         unit = law.scale
         ensemble = Ensemble(
             law,
-            Thermal(kT * unit**2, 1.0, barriers[index // 2 % len(barriers)]),
+            _heat(barriers[index // 2 % len(barriers)], kT, unit),
             _drawn_delay(bool(rng.integers(2)), waits),
             stiffness_law=("sqrt", "uniform")[index // 4 % 2],
             disorder=("quenched", "annealed")[index % 2],
@@ -120,6 +121,8 @@ def sample(
             ensemble = replace(ensemble, aging=grows)
         elif newborn.random() < 1 / 4:
             ensemble = _stretched_at_birth(ensemble, newborn)
+        if index % 3 == 0 and _may_lack_thresholds(ensemble):
+            ensemble = replace(ensemble, thresholds=NoThresholds(unit))
         if index % step != first:
             continue  # before lives are sampled, which takes time
         if delay:
@@ -136,6 +139,24 @@ def _drawn_delay(random: bool, rng: np.random.Generator) -> Delay:
     name, least, most = PARAMETERS.get(law, ("", 1.0, 1.0))
     given = {name: float(np.exp(rng.uniform(np.log(least), np.log(most))))}
     return Delay(0.0, law, **(given if name else {}))
+
+
+def _heat(barrier: str, kT: float, unit: float) -> Thermal:
+    """Heat at kT, over k unit^2. Rates of bonds rise by as much up to a stretch of
+    `unit` as those of others, to about 1."""
+    if not kT or not BARRIERS[barrier].by_force:
+        return Thermal(kT * unit**2, 1.0, barrier if kT else "soft")
+    rate, force = math.exp(-0.5 / kT), 2.0 * kT * unit
+    if barrier == "bell":
+        return Thermal(barrier=barrier, off_rate=rate, force_scale=force)
+    catch, slip = Pathway(1.0, 0.3 * unit), Pathway(rate, force)
+    return Thermal(barrier=barrier, catch=catch, slip=slip)
+
+
+def _may_lack_thresholds(ensemble: Ensemble) -> bool:
+    by_force = BARRIERS[ensemble.thermal.barrier].by_force
+    fractions = ensemble.newborn.active and ensemble.newborn.of == "threshold"
+    return by_force and not ensemble.aging.active and not fractions
 
 
 def _drawn_thresholds(kind: str, unit: float, rng: np.random.Generator) -> ThresholdLaw:
@@ -225,7 +246,7 @@ def _aging(ensemble: Ensemble, v: float, rng: np.random.Generator) -> Ensemble:
     if at_once and (ensemble.disorder == "annealed" or not RULES[rule].fluctuates):
         rate, rule = math.inf, "flow"  # annealed contacts do not tell rules apart
     if cold:
-        ensemble = replace(ensemble, thermal=replace(ensemble.thermal, kT=0.0))
+        ensemble = replace(ensemble, thermal=Thermal())
     return replace(ensemble, aging=Aging(rule, rate, final))
 
 

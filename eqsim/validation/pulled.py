@@ -22,13 +22,16 @@ import numpy as np
 
 from eqsim.engine.records import SliderTrajectory
 from eqsim.engine.trajectory import trajectory
-from eqsim.estimate import Estimate
+from eqsim.estimate import Estimate, known, mean_of
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.newborn import Newborn
+from eqsim.laws.no_thresholds import NoThresholds
 from eqsim.laws.stiffness import relative_stiffness
-from eqsim.laws.threshold import ThresholdLaw
+from eqsim.laws.thermal import Thermal
+from eqsim.laws.threshold import Delta, ThresholdLaw
 from eqsim.master.avalanche_sizes import load_of, missed_by_few, size_law
+from eqsim.master.lifetimes import lifetime
 from eqsim.model.drive import Programme, Segment, Stage
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.quadrature import gauss_legendre
@@ -58,6 +61,8 @@ _GAPS = 1e-4
 _CARRYING = 400
 # Replicas of a single contact, pinned or not, for their mean to be about normal.
 _REPLICAS_OF_ONE = 50
+# Clusters whose mean lifetime is compared.
+_CLUSTERS = 2000
 # Contacts behind a spring that is all but rigid.
 _RIGID = 100
 
@@ -65,12 +70,13 @@ _RIGID = 100
 def compare_pulled(point: Point, plan: Suite) -> Found:
     """All comparisons of a pulled slider at a point: each kind at its own share of the
     points."""
-    number, warm = point.number, point.ensemble.thermal.kT > 0
+    number, warm = point.number, point.ensemble.thermal.active
     asked = {
         holds: warm and number % 24 in (4, 13),
         pieces: warm and number % 13 == 10,
         steps: number % 13 == 7,
         avalanches: number % 7 == 3,
+        lifetimes: warm and number % 9 == 1,
     }
     chosen = (compare for compare, wanted in asked.items() if wanted)
     return [one for compare in chosen for one in compare(point, plan)]
@@ -103,22 +109,32 @@ def rates(ensemble: Ensemble, xi: Array, stretch: Array) -> Array:
     """Thermal breaking rates, per time, of contacts with thresholds `xi` and stretches
     below these (any shape)."""
     if ensemble.disorder != "annealed":
-        success = _success(ensemble, xi, stretch)
-    else:  # attempts draw thresholds of their own
-        fresh, share = nodes(ensemble.thresholds, _PER_OCTAVE[1])
-        at, back = np.unique(stretch, return_inverse=True)
-        pooled = [float(np.sum(share * _success(ensemble, fresh, x))) for x in at]
-        success = np.array(pooled)[back].reshape(np.shape(stretch))
-    return ensemble.thermal.attempt_frequency * success
+        return _rate(ensemble, xi, stretch)
+    # attempts draw thresholds of their own
+    fresh, share = nodes(ensemble.thresholds, _PER_OCTAVE[1])
+    at, back = np.unique(stretch, return_inverse=True)
+    pooled = [float(np.sum(share * _rate(ensemble, fresh, x))) for x in at]
+    return np.array(pooled)[back].reshape(np.shape(stretch))
 
 
-def _success(ensemble: Ensemble, xi: Array, stretch: Array) -> Array:
-    """Probability that an attempt breaks a contact (temper11, temper12)."""
-    gap = np.clip(1.0 - stretch / xi, 0.0, 1.0)
-    height = 0.5 * (_stiffness(ensemble, xi) / ensemble.thermal.kT) * xi**2
-    if ensemble.thermal.barrier == "stiff":
-        return np.asarray(np.sqrt(gap) * np.exp(-height * gap**1.5))
-    return np.where(gap > 0.0, np.exp(-height * gap * (2.0 - gap)), 0.0)
+def _rate(ensemble: Ensemble, xi: Array, stretch: Array) -> Array:
+    """Rate of a contact, per time, 0 beyond its threshold (temper11, temper12, eq. (3)
+    of Dudko et al., 2006, Bell, 1978, and Pereverzev et al., 2005)."""
+    heat, gap = ensemble.thermal, np.clip(1.0 - stretch / xi, 0.0, 1.0)
+    force = _stiffness(ensemble, xi) * stretch
+    if heat.off_rate is not None and heat.force_scale is not None:
+        return heat.off_rate * np.exp(force / heat.force_scale) * (gap > 0.0)
+    if heat.catch is not None and heat.slip is not None:
+        closing = heat.catch.rate * np.exp(-force / heat.catch.force)
+        opening = heat.slip.rate * np.exp(force / heat.slip.force)
+        return (closing + opening) * (gap > 0.0)
+    height = 0.5 * (_stiffness(ensemble, xi) / heat.kT) * xi**2
+    if heat.barrier == "soft":
+        success = np.where(gap > 0.0, np.exp(-height * gap * (2.0 - gap)), 0.0)
+    else:
+        power = {"stiff": 1.5, "cusp": 2.0}[heat.barrier]
+        success = gap ** (power - 1.0) * np.exp(-height * gap**power)
+    return heat.attempt_frequency * np.asarray(success)
 
 
 def _stiffness(ensemble: Ensemble, xi: Array) -> Array:
@@ -316,6 +332,8 @@ def avalanches(point: Point, plan: Suite) -> Found:
     start, against `master.avalanche_sizes`."""
     kappa = float(10 ** point.rng(9).uniform(-0.6, 0.6))
     law, stiffness = point.ensemble.thresholds, point.ensemble.stiffness_law
+    if isinstance(law, NoThresholds):
+        raise LeftOut("no thresholds")
     xi, share = nodes(law, _PER_OCTAVE[1])
     strength = relative_stiffness(stiffness, xi, law.rms) * xi
     mean, square = float(np.sum(share * strength)), float(np.sum(share * strength**2))
@@ -325,7 +343,7 @@ def avalanches(point: Point, plan: Suite) -> Found:
     few = missed_by_few(law, rho, _AVALANCHING, stiffness)
     alone = float(size_law(law, rho, 1, stiffness)[0])
     shown = _bare(point.shown, _AVALANCHING, Delay())
-    shown = replace(shown, thermal=replace(shown.thermal, kT=0.0))
+    shown = replace(shown, thermal=Thermal())
     stage, distance = Stage(kappa, preload=None), 3.0 * law.mean
     segments = (Segment(1.0, distance=distance, points=1),)
     programme = Programme(segments, "stationary", 1.0, stage)
@@ -352,4 +370,33 @@ def avalanches(point: Point, plan: Suite) -> Found:
     return scores
 
 
-PULLED_KINDS = (*holds.kinds, *pieces.kinds, *steps.kinds, *avalanches.kinds)
+# ------------------------------------------------------------------------------- creep
+
+
+@compares("lifetime")
+def lifetimes(point: Point, plan: Suite) -> Found:
+    """The mean lifetime of a cluster of 1 to 10 contacts with equal thresholds, without
+    re-attachment, under a constant force, against the chain of their breaks."""
+    rng, law = point.rng(10), Delta(point.ensemble.thresholds.mean)
+    count = int(rng.choice([1, 2, 5, 10]))
+    force = float(f"{rng.uniform(0.2, 0.8) * law.x_star:.4g}")
+    cluster, shown = (
+        replace(_bare(one, count, Delay(math.inf)), thresholds=law)
+        for one in (point.ensemble, point.shown)
+    )
+    exact = lifetime(cluster, Programme((Segment(force=force, time=1.0),)), points=2)
+    mean = known(exact.mean)
+    if not 0.0 < mean < _LONGEST_HOLD:
+        raise LeftOut("few contacts")
+    creep = Programme((Segment(force=force, time=float(f"{50.0 * mean:.4g}")),))
+    run = trajectory(shown, creep, points=2, seed=point.stream(10), replicas=_CLUSTERS)
+    assert isinstance(run, SliderTrajectory)
+    point = point._replace(ensemble=cluster, contacts=count, time=run.t[-1])
+    ours = mean_of(run.lifetimes, _CLUSTERS, _CLUSTERS - 1)
+    return [point.score("lifetime", ours, exact.mean)]
+
+
+PULLED_KINDS = (
+    *(*holds.kinds, *pieces.kinds, *steps.kinds, *avalanches.kinds),
+    *lifetimes.kinds,
+)

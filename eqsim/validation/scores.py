@@ -44,6 +44,7 @@ from eqsim.engine.trajectory import predicted_lives, trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, known, mean_of
 from eqsim.laws.aging import Aging, Unaged
+from eqsim.laws.no_thresholds import has_jumps
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master import flow
 from eqsim.master.profile import profile_of
@@ -129,7 +130,7 @@ def _followed(ensemble: Ensemble) -> bool:
     very short."""
     if ensemble.self_consistent or ensemble.fluctuates or ensemble.newborn.active:
         return False
-    law, warm = ensemble.thresholds, ensemble.thermal.kT > 0.0
+    law, warm = ensemble.thresholds, ensemble.thermal.active
     narrow = not law.steps.size and (law.rms / law.mean) ** 2 - 1.0 < _NARROW_LAW**2
     return not (narrow and warm and ensemble.disorder == "quenched")
 
@@ -253,7 +254,7 @@ def transients(point: Point, plan: Suite) -> Found:
     whole = point.drive(distance)
     sized = _affordable(point, plan, whole, 20_000, 1e6)
     # a grid fine enough for jumps of F, whose error is that of a few cells
-    steps = ensemble.thresholds.steps.size
+    steps = ensemble.thresholds.steps.size * has_jumps(ensemble.thresholds)
     every = max(1, _GRID_CELLS // (_DISPLACEMENTS * max(12, steps))) if steps else 1
     exact = transient(ensemble, whole, points=_DISPLACEMENTS * every + 1, variance=True)
     if exact.force_variance is None or exact.force_variance_error is None:

@@ -210,6 +210,8 @@ def sampled(
 
     Raises InputError where an ensemble cannot be simulated so.
     """
+    if ensemble.populations:
+        raise InputError("population: this is simulated for contacts of one kind")
     exact = reference(ensemble, drive, variance=True)
     level = known(exact.friction)
     small = replace(ensemble, count=_TOGETHER)

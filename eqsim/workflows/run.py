@@ -26,9 +26,12 @@ from eqsim.io import terminal
 from eqsim.io.runfile import RunFile, opened
 from eqsim.io.units import Row
 from eqsim.lazy import lazily
+from eqsim.master.avalanche_sizes import load_of, size_law
+from eqsim.master.bursts import bursts
 from eqsim.master.peak import Peak, first_peak
 from eqsim.master.steady import reference
 from eqsim.model.drive import Drive
+from eqsim.numerics.tables import Array
 from eqsim.sweeps.workers import Workers
 from eqsim.workflows.averages import unit_column
 from eqsim.workflows.elastic import ElasticResult, run_elastic
@@ -40,6 +43,7 @@ with lazily():
 
 
 _MOST_LINES = 40  # segments or slips that a table shows
+_LARGEST_SIZE = 1000  # size of avalanches up to which their law is drawn
 _MOST_NAMED = 8  # slips that a note names
 _CUT = "the record {} during {}: drop, time and distance (>) are lower bounds"
 
@@ -280,8 +284,34 @@ class SliderResult(ProgrammeResult):
         """Forces and displacements of slider and stage."""
         level = float(np.abs(self.trajectory.spring).max())
         caption = panels.Caption.of(self.file, title, level)
-        draw = runs.slider_figure
-        return {"force": draw(self.trajectory, self.exact.solution, caption)}
+        draw, run = runs.slider_figure, self.trajectory
+        figures = {"force": draw(run, self.exact.solution, caption)}
+        if run.avalanches is not None and run.avalanches["breaks"].size:
+            sizes = self._sizes(run.avalanches["breaks"], run.avalanches["t"])
+            figures["avalanches"] = runs.sizes_figure(*sizes, caption)
+        return figures
+
+    def _sizes(self, breaks: Array, t: Array) -> tuple[Array, int, Array]:
+        """Sizes of bursts under a force, or of avalanches in the second half of a run
+        behind a stage; what their numbers are divided by, and the exact law, if there
+        is one."""
+        contacts, stage = self.ensemble, self.drive.stage
+        per, most = contacts.count * self.file.output.replicas, _LARGEST_SIZE
+        if stage is not None:
+            breaks = breaks[t > 0.5 * self.trajectory.t[-1]]
+            per = breaks.size
+
+        def law() -> Array:
+            if stage is None:
+                return bursts(contacts, range(1, most + 1)).number
+            if contacts.populations:
+                raise InputError("population: has no law of sizes")
+            spring = contacts.thresholds, stage.stiffness, contacts.stiffness_law
+            load = load_of(*spring)
+            return size_law(contacts.thresholds, load, most, contacts.stiffness_law)
+
+        known = if_any(law).solution
+        return breaks, per, np.empty(0) if known is None else known
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
         """Each slip, and the mean period and drop, which leave out the first."""

@@ -76,10 +76,10 @@ def test_laws_of_thresholds():
 
 
 def test_kernels_tell_them_apart():
-    soft, stiff = (law(3.0, 1.0) for law in BARRIERS.values())
-    assert numba.typeof(soft) != numba.typeof(stiff)
+    laws = [BARRIERS[name](3.0, 1.0) for name in ("soft", "stiff", "cusp")]
+    assert len({numba.typeof(law) for law in laws}) == 3
     height_of = compiled(height)
-    found = [height_of(law, 1.0, 0.25, 3.0) for law in (soft, stiff)]
+    found = [height_of(law, 1.0, 0.25, 3.0) for law in laws]
     assert found == pytest.approx(
-        [3.0 * (1.0 - 0.0625), 3.0 * 0.75**1.5], rel=1e-14, abs=0
+        [3.0 * (1.0 - 0.0625), 3.0 * 0.75**1.5, 3.0 * 0.75**2], rel=1e-14, abs=0
     )

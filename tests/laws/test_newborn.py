@@ -176,6 +176,10 @@ def test_refused(newborn, word):
 # ---- travel ----
 
 
+# E ~ (1 - x/xi)^power with the prefactor (1 - x/xi)^(power - 1)
+POWER = {"stiff": 1.5, "cusp": 2.0}
+
+
 def passed(barrier, a, xi, x):
     """int_0^x r, odd in x, in 50 digits."""
     sign, x = (
@@ -191,16 +195,16 @@ def passed(barrier, a, xi, x):
             / (2 * root)
             * mpmath.erfi(root * x)
         )
-    top = mpmath.exp(-a * xi**2 * (1 - x / xi) ** mpmath.mpf(1.5))
-    return sign * 2 / (3 * a * xi) * (top - mpmath.exp(-a * xi**2))
+    power = mpmath.mpf(POWER[barrier])
+    top = mpmath.exp(-a * xi**2 * (1 - x / xi) ** power)
+    return sign / (power * a * xi) * (top - mpmath.exp(-a * xi**2))
 
 
 def rate(barrier, a, xi, x):
     if barrier == "soft":
         return mpmath.exp(-a * (xi**2 - x**2))
-    return mpmath.sqrt(1 - abs(x) / xi) * mpmath.exp(
-        -a * xi**2 * (1 - abs(x) / xi) ** mpmath.mpf(1.5)
-    )
+    gap, power = 1 - abs(x) / xi, mpmath.mpf(POWER[barrier])
+    return gap ** (power - 1) * mpmath.exp(-a * xi**2 * gap**power)
 
 
 @chosen(
@@ -208,9 +212,9 @@ def rate(barrier, a, xi, x):
     [
         (*heat, barrier)
         for heat in ((3.0, 1e3), (0.1, 1.0), (1e-4, 1e6), (1e-8, 1e9))
-        for barrier in ("soft", "stiff")
+        for barrier in ("soft", "stiff", "cusp")
     ],
-    [(3.0, 1e3, "soft"), (1e-8, 1e9, "stiff")],
+    [(3.0, 1e3, "soft"), (1e-8, 1e9, "stiff"), (0.1, 1.0, "cusp"), (1e-8, 1e9, "cusp")],
 )
 def test_travel(barrier, kT, w):
     """Where the hazard since birth is the clock, against 50 digits: to 1e-8 of the

@@ -21,6 +21,7 @@ from eqsim.engine.errorbars import POOLED_STEPS
 from eqsim.engine.langevin import STEP
 from eqsim.engine.sample import Source, lives
 from eqsim.laws.barrier import BARRIERS, base, pooled, soft
+from eqsim.laws.barrier.cusp import Cusp
 from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS, pooled_hazard, pooled_rate
 from eqsim.laws.barrier.soft import Soft, erfi_inverse_table, log_erfi
 from eqsim.laws.barrier.stiff import Stiff
@@ -34,6 +35,11 @@ stretch, pooled_stretch = compiled(base.stretch), compiled(pooled._inverse)
 mean_rate = compiled(base.mean_rate)
 
 EPS = np.finfo(float).eps
+# barriers that vanish at the threshold
+VANISHING = (Soft, Stiff, Cusp)
+HEATED = ("soft", "stiff", "cusp")
+# E ~ (1 - x/xi)^power with the prefactor (1 - x/xi)^(power - 1)
+POWER = {Stiff: 1.5, Cusp: 2.0}
 # relative error of the tabulated inverse of ln(1 + erfi z): that of a root in a cell of
 # relative width 1/64, three times as large near s = 2 where the function bends, and
 # 2^-31 of the straight beginning below s = 2^-30
@@ -68,8 +74,8 @@ def test_log_erfi(z):
 
 @chosen(
     ("barrier", "a"),
-    itertools.product(BARRIERS.values(), (1e-6, 0.3, 1.0, 40.0, 1e4, 1e8)),
-    [(Soft, 1e8), (Stiff, 1.0)],
+    itertools.product(VANISHING, (1e-6, 0.3, 1.0, 40.0, 1e4, 1e8)),
+    [(Soft, 1e8), (Stiff, 1.0), (Cusp, 1e4)],
 )
 def test_log_hazard_is_the_integral_of_the_rate(barrier, a):
     """Against quadrature of exp(log_rate), in 40 digits and on intervals that shrink
@@ -82,7 +88,8 @@ def test_log_hazard_is_the_integral_of_the_rate(barrier, a):
             gap = 1 - y / mpmath.mpf(xi)
             if barrier is Soft:
                 return -c * (1 - (y / mpmath.mpf(xi)) ** 2)
-            return mpmath.log(gap) / 2 - c * gap ** mpmath.mpf(1.5)
+            power = mpmath.mpf(POWER[barrier])
+            return (power - 1) * mpmath.log(gap) - c * gap**power
 
         for part in (1e-6, 0.1, 0.5, 0.9, 0.999, 1.0):
             x = mpmath.mpf(part * xi)
@@ -101,7 +108,7 @@ def test_log_hazard_is_the_integral_of_the_rate(barrier, a):
                 )
 
 
-@pytest.mark.parametrize("barrier", BARRIERS.values())
+@pytest.mark.parametrize("barrier", VANISHING)
 def test_derivative_of_the_hazard_is_the_rate(barrier):
     """d ln H/dx = r/H by central differences, over random contacts (error of second
     order in a step of 1e-5)."""
@@ -222,7 +229,7 @@ def random_contacts(rng, count, log_b, log_xi=(-2.0, 1.0)):
     return a, xi, clock
 
 
-@pytest.mark.parametrize("barrier", BARRIERS.values())
+@pytest.mark.parametrize("barrier", VANISHING)
 def test_inverse_is_the_inverse_of_the_hazard(barrier):
     """b from 1e-3 to 1e9, |ln(omega/v)| <= 60, thresholds over three decades:
     exp(log_w) H(x) = clock."""
@@ -241,7 +248,7 @@ def test_inverse_is_the_inverse_of_the_hazard(barrier):
     assert 0.2 < inside.mean() < 0.9  # both ends of a life are met
 
 
-@pytest.mark.parametrize("barrier", BARRIERS.values())
+@pytest.mark.parametrize("barrier", VANISHING)
 def test_mean_rate_between_two_stretches(barrier):
     """Against quadrature of the rate in 30 digits on intervals that shrink towards the
     end: to the documented 1e-8 and a few eps of each term of the exponent, over pieces
@@ -278,7 +285,8 @@ def test_mean_rate_between_two_stretches(barrier):
                 gap = 1 - y / end
                 if barrier is Soft:
                     return mpmath.exp(-c * gap * (2 - gap))
-                return mpmath.sqrt(gap) * mpmath.exp(-c * gap**1.5)
+                power = mpmath.mpf(POWER[barrier])
+                return gap ** (power - 1) * mpmath.exp(-c * gap**power)
 
             steps = max(
                 2, int(math.log2(1.0 + 3.0 * a[i] * xi[i] * (other[i] - x[i]))) + 3
@@ -297,7 +305,7 @@ def test_mean_rate_between_two_stretches(barrier):
     assert np.mean(of_middle > 1e-7) > 0.3
 
 
-@pytest.mark.parametrize("barrier", BARRIERS.values())
+@pytest.mark.parametrize("barrier", VANISHING)
 @pytest.mark.parametrize("log_b", [(-12, -9), (10, 15)])
 @pytest.mark.parametrize("ratio", [1e-12, 1e12])
 def test_inverse_at_extremes(barrier, log_b, ratio):
@@ -320,11 +328,11 @@ def test_no_barrier_is_a_constant_rate(ratio):
     )
 
 
-@pytest.mark.parametrize("barrier", BARRIERS.values())
+@pytest.mark.parametrize("barrier", VANISHING)
 @pytest.mark.parametrize("a", [1e13, 1e16, 1e18, 1e22, 1e60])
 def test_no_temperature_breaks_at_the_threshold(barrier, a):
     """At b -> infinity, whatever the clock, x = xi within ln(omega/v)/(2b) (soft) or
-    its power 2/3 (stiff)."""
+    its power 2/3 (stiff) or 1/2 (cusp)."""
     xi = np.array([0.3, 1.0, 12.0])
     for log_w in (-60.0, 0.0, 60.0):
         x = stretches(
@@ -333,11 +341,12 @@ def test_no_temperature_breaks_at_the_threshold(barrier, a):
         early = (60 + math.log(a) + 20) / (a * xi**2)
         assert np.all(
             1 - x / xi
-            <= INVERSE_ERROR + (early if barrier is Soft else early ** (2 / 3))
+            <= INVERSE_ERROR
+            + early ** (1.0 if barrier is Soft else 1.0 / POWER[barrier])
         )
 
 
-@pytest.mark.parametrize("barrier", BARRIERS.values())
+@pytest.mark.parametrize("barrier", VANISHING)
 def test_wrong_barrier_fails_the_round_trip(barrier):
     """Negative control: temperature off by 1e-6."""
     rng = np.random.default_rng(9)
@@ -414,7 +423,7 @@ def test_crossover_velocity_is_nt12(b):
     )
 
 
-@pytest.mark.parametrize("barrier", BARRIERS)
+@pytest.mark.parametrize("barrier", HEATED)
 def test_crossover_velocity_without_temperature(barrier):
     assert Ensemble(thermal=Thermal(0.0, 1.0, barrier)).crossover_velocity == 0.0
     assert (
@@ -470,7 +479,7 @@ LAWS = {
 
 @chosen(
     ("barrier", "stiffness", "name"),
-    itertools.product(BARRIERS.values(), ("sqrt", "uniform"), LAWS),
+    itertools.product(VANISHING, ("sqrt", "uniform"), LAWS),
     [
         (Soft, "sqrt", "gamma n=1"),
         (Soft, "uniform", "lognorm"),
@@ -596,7 +605,7 @@ def integrated_rate(law, stiffness, barrier, b, x):
 
 @chosen(
     ("b", "barrier", "stiffness", "name"),
-    itertools.product((0.1, 30.0, 1e6), BARRIERS.values(), ("sqrt", "uniform"), LAWS),
+    itertools.product((0.1, 30.0, 1e6), VANISHING, ("sqrt", "uniform"), LAWS),
     [
         (0.1, Soft, "sqrt", "gamma n=0"),
         (0.1, Stiff, "uniform", "lognorm"),
@@ -693,7 +702,7 @@ def rate_of_weak(shape, barrier, b, y):
 
 @chosen(
     ("barrier", "shape"),
-    itertools.product(BARRIERS.values(), (0.2, 0.5)),
+    itertools.product(VANISHING, (0.2, 0.5)),
     [(Soft, 0.2), (Stiff, 0.5)],
 )
 def test_pools_of_infinite_density_at_zero(shape, barrier):
@@ -774,7 +783,7 @@ def exact_inverse(law, stiffness, barrier, b, targets):
 
 
 @pytest.mark.parametrize("stiffness", ["sqrt", "uniform"])
-@pytest.mark.parametrize("barrier", BARRIERS.values())
+@pytest.mark.parametrize("barrier", VANISHING)
 @pytest.mark.parametrize("b", [1e-3, 1.0, 1e3, 1e8])
 def test_pool_of_a_table_is_the_mean(stiffness, barrier, b):
     """At the nodes to rounding (of exponents up to 8 b); between them the mean error of
@@ -804,7 +813,7 @@ def test_pool_of_a_table_is_the_mean(stiffness, barrier, b):
     )
 
 
-@pytest.mark.parametrize("barrier", BARRIERS.values())
+@pytest.mark.parametrize("barrier", VANISHING)
 def test_documented_error_of_the_pool_of_a_table(barrier):
     """Below 1e-4 of the distance between neighbours, at every target."""
     law = Table([0.5, 1.0, 2.0])
@@ -821,7 +830,7 @@ def test_documented_error_of_the_pool_of_a_table(barrier):
     assert np.max(np.abs(found - exact) / gaps) < 1e-4
 
 
-@pytest.mark.parametrize("barrier", BARRIERS.values())
+@pytest.mark.parametrize("barrier", VANISHING)
 @pytest.mark.parametrize(
     "thresholds", [[0.03, 1.0], [1e-4, 1.0], [1e-6, 0.3, 2.0], [1e-20, 1e-10, 1.0]]
 )
@@ -844,7 +853,7 @@ def test_pool_of_thresholds_of_many_scales(thresholds, barrier):
     assert error(1.01) > 100 * POOLED_STEPS
 
 
-@pytest.mark.parametrize("barrier", BARRIERS.values())
+@pytest.mark.parametrize("barrier", VANISHING)
 def test_pool_of_one_threshold_is_the_contact_itself(barrier):
     """Identical contacts: the pooled inverse is that of a single quenched contact."""
     pool = pooled_hazard(Delta(2.0), "sqrt", barrier, 5.0)
@@ -939,7 +948,7 @@ def break_stretches(ensemble, velocity, count=40_000):
 
 @chosen(
     ("disorder", "stiffness", "barrier"),
-    itertools.product(("quenched", "annealed"), ("sqrt", "uniform"), BARRIERS),
+    itertools.product(("quenched", "annealed"), ("sqrt", "uniform"), HEATED),
     [("quenched", "uniform", "soft"), ("annealed", "sqrt", "stiff")],
 )
 def test_lives_follow_the_survival(disorder, stiffness, barrier):
@@ -974,7 +983,7 @@ def test_lives_follow_the_survival(disorder, stiffness, barrier):
 
 @chosen(
     ("disorder", "stiffness", "barrier"),
-    itertools.product(("quenched", "annealed"), ("sqrt", "uniform"), BARRIERS),
+    itertools.product(("quenched", "annealed"), ("sqrt", "uniform"), HEATED),
     [("quenched", "sqrt", "soft"), ("annealed", "uniform", "stiff")],
 )
 def test_lives_spend_their_clocks(disorder, stiffness, barrier):
@@ -1016,7 +1025,10 @@ def test_lives_spend_their_clocks(disorder, stiffness, barrier):
         ({"kT": "warm"}, "kT = 'warm'"),
         ({"attempt_frequency": -1.0}, "attempt_frequency = -1.0"),
         ({"attempt_frequency": math.nan}, "attempt_frequency = nan"),
-        ({"barrier": "hard"}, 'barrier = \'hard\': must be one of "soft", "stiff"'),
+        (
+            {"barrier": "hard"},
+            'barrier = \'hard\': must be one of "soft", "stiff", "cusp", "bell", "catch-slip"',
+        ),
     ],
 )
 def test_bad_temperature(arguments, message):

@@ -22,7 +22,12 @@ from eqsim import (
 )
 from eqsim.master.lifetimes import Chain, chain_of, moments, survival
 
-CREEP = Programme([Segment(force=0.3, time=50.0)])
+
+def creep(force, time=50.0):
+    return Programme([Segment(force=force, time=time)], rebinding="shared")
+
+
+CREEP = creep(0.3)
 
 
 def chain(N, F, g):
@@ -149,7 +154,7 @@ def test_clusters_broken_one_by_one(again):
     seen = 1.0 - np.linspace(0.02, 0.98, 25)
     off = np.abs(survival(cluster, t, mean, std) - seen).max()
     assert off < stats.kstwobign.isf(1e-5) / math.sqrt(count)
-    harder = Programme([Segment(force=0.306, time=50.0)])
+    harder = creep(0.306)
     cluster = chain_of(ensemble, harder)._replace(pinned_again=cluster.pinned_again)
     assert abs(time.mean() - moments(cluster)[0]) > 4.5 * stderr
 
@@ -164,7 +169,7 @@ def test_result_and_limits():
     cold = Ensemble(Delta(), delay=Delay(1.0, "exponential"), count=5)
     assert lifetime(cold, CREEP).mean.value == math.inf
     assert lifetime(cold, CREEP, points=3).survival.tolist() == [1.0, 1.0, 1.0]
-    strong = lifetime(cold, Programme([Segment(force=1.0, time=1.0)]), points=3)
+    strong = lifetime(cold, creep(1.0, 1.0), points=3)
     assert (strong.mean.value, strong.survival.tolist()) == (0.0, [1.0, 0.0, 0.0])
 
 
@@ -179,6 +184,7 @@ def test_result_and_limits():
             Programme([Segment(force_rate=0.1, time=1.0)]),
             "drive.force: must be given, constant",
         ),
+        (bonds(3), Programme([Segment(force=0.3, time=1.0)]), "rebinding: must be"),
         (Ensemble(Gamma(), Thermal(0.1), count=5), CREEP, "thresholds: must all"),
         (Ensemble(Delta(), Thermal(0.1), Delay(2.0), count=5), CREEP, "delay.time = 2"),
         (bonds(3, 0.0), CREEP, "delay.time = 0: must be inf"),

@@ -731,3 +731,24 @@ def test_steady_averages_know_the_law(law, wrong, kind):
 
     assert largest(right) < 4.5
     assert largest(other) > 10.0
+
+
+def pulled_harder(ensemble, drive):
+    """A force 1 % larger."""
+    (segment,) = drive.segments
+    segment = dataclasses.replace(segment, force=1.01 * segment.force)
+    return ensemble, dataclasses.replace(drive, segments=(segment,))
+
+
+def test_lifetimes_of_clusters(monkeypatch):
+    """Five clusters pass, and fail under a force 1 % larger."""
+    ensemble = Ensemble(Gamma(), Thermal(0.05))
+
+    def verdicts():
+        points = (at(ensemble, 0.1, seed=seed) for seed in range(5))
+        found = [pulled.lifetimes(point, SUITES["quick"]) for point in points]
+        return passes(made(itertools.chain.from_iterable(found)))
+
+    assert verdicts() == {"lifetime": True}
+    as_if(monkeypatch, pulled_harder)
+    assert verdicts() == {"lifetime": False}

@@ -62,6 +62,11 @@ class Barrier(Law):
     thermal: ClassVar[bool] = True  # heat breaks contacts
     # b above which a quenched contact breaks at its threshold, to 1e-10
     flat_out: ClassVar[float] = 1e16
+    # the rate depends on the force alone, not on the threshold (`bell.ByForce`)
+    by_force: ClassVar[bool] = False
+    # fields of `eqsim.Thermal` that b and omega are made of
+    keys: ClassVar[tuple[str, ...]] = ("kT", "attempt_frequency")
+    b_words: ClassVar[str] = "k x_*^2/(2 kT)"
     b: float
     log_w: float
 
@@ -80,6 +85,26 @@ class Barrier(Law):
         @prefactor.register(cls)
         def _prefactor(law: Any, xi: float, x: float) -> Any:
             return factor(max(xi - x, 0.0), xi)  # a stretch may round to more
+
+    @classmethod
+    def numbers(cls, thermal: Any, stiffness: float, unit: float) -> tuple[float, ...]:
+        """b, omega (1/time) and whatever else the law has, of an `eqsim.Thermal`, the
+        stiffness k and a unit of length."""
+        energy, kT = 0.5 * stiffness * unit * unit, thermal.kT
+        b = energy / kT if kT > energy * 1e-300 else math.inf
+        return b, thermal.attempt_frequency
+
+    @classmethod
+    def declared(
+        cls, thermal: Any, stiffness: float, unit: float, velocity: float
+    ) -> tuple[float, ...]:
+        """Numbers for `Ensemble.declared`, products and ratios."""
+        ratio = thermal.kT / (stiffness * unit * unit)
+        return ratio, thermal.attempt_frequency * unit / velocity
+
+    def in_unit(self, unit: float) -> float:
+        """b with lengths in units of `unit`."""
+        return self.b * (unit if self.by_force else unit**2)
 
     @staticmethod
     def exponent(gap: Any, total: Any, xi: Any, a: Any) -> Any:
@@ -214,7 +239,7 @@ def path_step(law: Any) -> float:
 def stretch(law: Any, table: Array, xi: float, k: float, clock: float) -> float:
     """Stretch at which a contact breaks, born unstressed with threshold `xi`, relative
     stiffness `k` and exponential clock `clock`."""
-    return _carried(law, xi, k, 0.0, xi, clock, 1.0)
+    return carried(law, xi, k, 0.0, xi, clock, 1.0)
 
 
 @by_law
@@ -230,7 +255,7 @@ def mean_rate(
     """Mean of `rate` from stretch x to x + length, both from 0 to xi, to 1e-8 of
     itself. `length` may be less than the resolution of x; where it is 0 this is the
     rate at x."""
-    return _averaged(law, xi, k, x, length)
+    return averaged(law, xi, k, x, length)
 
 
 @by_law
@@ -244,7 +269,7 @@ def onward(law: Any, c: Any, xi: float, k: float, y: float, clock: float) -> flo
     """Travel of a contact of threshold `xi` and relative stiffness `k` from stretch 0 <
     y < xi until it breaks, with `clock` left of its clock; to 1e-8 of itself, however
     short. `c` is an `engine.contacts.Contacts`, for its tables."""
-    return _carried(law, xi, k, y, xi - y, clock, 1.0)
+    return carried(law, xi, k, y, xi - y, clock, 1.0)
 
 
 @by_law
@@ -254,12 +279,18 @@ def back(
     """Travel from stretch -y < 0 until the contact breaks, at most to 0, and the rest
     of its clock there, negative if it breaks before; arguments as in `onward`."""
     left = clock - hazard(law, c.hazard_table, xi, k, y)
-    return (y, left) if left >= 0.0 else (_carried(law, xi, k, y, y, clock, -1.0), -1.0)
+    return (y, left) if left >= 0.0 else (carried(law, xi, k, y, y, clock, -1.0), -1.0)
+
+
+@by_law
+def averaged(law: Any, xi: float, k: float, x: float, length: float) -> float:
+    """`mean_rate` of laws that need no table for it."""
+    return _integrated(law, xi, k, x, length)
 
 
 @routine
-def _averaged(law: Any, xi: float, k: float, x: float, length: float) -> float:
-    """`mean_rate` of any law, by Gauss-Legendre nodes in cells that are halved until E
+def _integrated(law: Any, xi: float, k: float, x: float, length: float) -> float:
+    """`averaged` of any law, by Gauss-Legendre nodes in cells that are halved until E
     varies little in them. In u = sqrt(xi - x) the rate of a barrier that vanishes at
     the threshold is smooth; dx = -2 u du."""
     a = law.b * k
@@ -297,18 +328,18 @@ def _averaged(law: Any, xi: float, k: float, x: float, length: float) -> float:
 
 
 @routine
-def _carried(
+def carried(
     law: Any, xi: float, k: float, y: float, most: float, clock: float, sign: float
 ) -> float:
     """Travel from stretch y, away from 0 (`sign` 1) or towards it (-1), until the
     hazard of the travel is `clock`; at most `most`. Newton's method for the logarithm
     of the hazard, in a bracket."""
-    if _averaged(law, xi, k, min(y, y + sign * most), most) * most <= clock:
+    if averaged(law, xi, k, min(y, y + sign * most), most) * most <= clock:
         return most
     bracket, now = Bracket(0.0, most), rate(law, xi, k, y)
     s = min(clock / now, most) if now > 0.0 else 0.5 * most
     for _ in range(200):
-        spent = _averaged(law, xi, k, min(y, y + sign * s), s) * s
+        spent = averaged(law, xi, k, min(y, y + sign * s), s) * s
         slope, guess = s * rate(law, xi, k, y + sign * s), math.nan
         if slope > 0.0 and spent > 0.0:
             guess = s * math.exp(spent / slope * math.log(clock / spent))

@@ -91,7 +91,7 @@ _UNSEEN_ATTEMPTS = -45.0
 def pooled_rate(
     law: ThresholdLaw,
     stiffness: StiffnessLaw,
-    barrier: type[Barrier],
+    barrier: Barrier,
     b: float,
     y: Array,
     log_w: float = math.inf,
@@ -119,7 +119,7 @@ def pooled_rate(
         weak = np.exp(-_WEAK[log_w > _WEAK + _UNSEEN_ATTEMPTS])
         ends = _ends_of_panels(law, weak)
         found = [
-            _by_panels(law, stiffness, barrier(b, log_w), part, ends, rule)  # type: ignore[call-arg]
+            _by_panels(law, stiffness, barrier, b, part, ends, rule, log_w)
             for part in parts
         ]
     return np.concatenate(found)
@@ -128,7 +128,7 @@ def pooled_rate(
 def _trapezoid(
     law: Gamma,
     stiffness: StiffnessLaw,
-    barrier: type[Barrier],
+    barrier: Barrier,
     b: float,
     y: Array,
     step: float,
@@ -140,7 +140,9 @@ def _trapezoid(
     far = math.cbrt(rms / b) if stiffness == "sqrt" else 1.0 / math.sqrt(b)
     origin = np.maximum(y, 1e-3 * min(far, 1.0))
     a = np.maximum(b * relative_stiffness(stiffness, origin, rms), 1e-300)
-    gap = np.minimum(barrier.width(1.0, origin, a), far)
+    gap = barrier.width(1.0, origin, a)
+    if not barrier.by_force:
+        gap = np.minimum(gap, far)
     gap = (1.0 / (1.0 / gap + 2.0 * y + 1.0))[:, None]
     u = np.arange(_LEFT_END, math.log(50.0 + 6.0 * n), step / math.sqrt(1.0 + 0.25 * n))
     beyond, y = gap * np.exp(u - np.exp(-u)), y[:, None]
@@ -166,13 +168,15 @@ def _by_panels(
     law: ThresholdLaw,
     stiffness: StiffnessLaw,
     barrier: Barrier,
+    b: float,
     y: Array,
     ends: Array,
     rule: Rule,
+    log_w: float,
 ) -> Array:
     """h(y) by Gauss-Legendre panels in sqrt(xi' - y), so that the rate of stiff
     contacts is smooth at their thresholds; panels end at exponents of the barrier."""
-    b, rms, y = barrier.b, law.rms / law.scale, y[:, None]
+    rms, y = law.rms / law.scale, y[:, None]
 
     def contact(x: Array, root: Array) -> tuple[Array, Array, Array, Array]:
         """Arguments of the barrier at stretch x and threshold x + root^2."""
@@ -190,8 +194,7 @@ def _by_panels(
     edges = np.sqrt(np.maximum(panels_above(law, y[:, 0], layer) - y, 0.0))
     with np.errstate(invalid="ignore"):  # at y = 0 the first edge is xi = 0
         unseen = (
-            barrier.log_w - barrier.exponent(*contact(y, edges[:, :-1]))
-            <= _UNSEEN_ATTEMPTS
+            log_w - barrier.exponent(*contact(y, edges[:, :-1])) <= _UNSEEN_ATTEMPTS
         )
     row, column = np.nonzero((np.diff(edges, axis=1) > 0) & ~unseen)
     half = 0.5 * (edges[row, column + 1] - edges[row, column])[:, None]
@@ -214,7 +217,7 @@ def _steep(law: ThresholdLaw) -> Array:
 
 
 def pooled_hazard(
-    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float
 ) -> PooledHazard:
     """G and its inverse for the annealed ensemble, lengths in units of `law.scale`;
     Delta U = (omega/v) G (nt09).
@@ -281,7 +284,7 @@ def _pooled_cells(log_y: Array, rate: Callable[[Array], Array]) -> PooledHazard:
 
 
 def _pooled_steps(
-    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float
 ) -> PooledHazard:
     """G of equally likely thresholds: a mean of closed forms, at nodes that crowd
     towards each threshold from below, where the rate of attempts on it rises to 1, and
@@ -318,9 +321,7 @@ def _pooled_steps(
     return _monotone(y, G, left, right)
 
 
-def mean_hazard(
-    barrier: type[Barrier], y: Array, xi: Array, share: Array, a: Array
-) -> Array:
+def mean_hazard(barrier: Barrier, y: Array, xi: Array, share: Array, a: Array) -> Array:
     """G at ascending stretches y of a discrete law, a mean of closed forms: thresholds
     xi with their shares and a, lengths in units of the law's scale."""
     G = np.zeros(y.size)
@@ -348,7 +349,7 @@ def _monotone(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
 # are some 3 MB.
 @functools.lru_cache(maxsize=32)
 def pooled_hazard_of(
-    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: type[Barrier], b: float
+    law: ThresholdLaw, stiffness: StiffnessLaw, barrier: Barrier, b: float
 ) -> PooledHazard:
     """Cached `pooled_hazard`, which does not depend on velocity."""
     return pooled_hazard(law, stiffness, barrier, b)

@@ -1,0 +1,750 @@
+"""A slider without a mass, event by event: under a force, behind a stage or a motor.
+
+Between two events, a break, a birth, or a change of the drive, X(t) is known in closed
+form. With x the displacement since the last event it obeys
+
+    c x' = net + gain t - elastic x                                       (derived)
+
+under a force f(t) and behind a stage with elastic = kappa + A, A the stiffness of what
+is pinned, and c the damping. Without damping the slider is always in balance, and jumps
+at a break. A motor of stall force s and unloaded velocity u drives a slider itself with
+c = s/|u|, or the stage's end of the spring, Y' = u (1 - |F|/s), so that
+
+    (s/|u|)(1 + A/kappa) X' = s - |F|                                     (derived)
+
+and X jumps at a break, too.
+
+Breaks by heat are exact random times, drawn by thinning (Lewis and Shedler, 1979): as
+long as the slider stays within a window of X, the rate of a contact is below a bound.
+Candidates for its breaks come at the rate of the bound, and the next one is a break
+with the probability rate/bound. Candidates and births wait in a heap, and the window is
+renewed when the slider leaves it, so that nothing but the time it takes depends on its
+width. A contact whose stretch reaches its threshold breaks there.
+
+Lengths are in units of the threshold law's scale; time is displacement at the pace of
+`model.reduced.Pull`; forces and energies are per contact.
+"""
+
+import math
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, wait
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from eqsim.engine.avalanches import put_back
+from eqsim.engine.contacts import Contacts, contacts
+from eqsim.engine.lanes import delay_after, delay_of_the_first, draw_birth
+from eqsim.engine.slider import CONTACT, find_stationary
+from eqsim.errors import InputError
+from eqsim.laws.barrier.base import height, prefactor, rate
+from eqsim.laws.stiffness import kappa
+from eqsim.model.drive import Programme
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import drag_of, pull_of
+from eqsim.numerics.compiled import kernel, routine
+from eqsim.numerics.roots import Bracket, newton
+from eqsim.numerics.streams import TRAJECTORY, Key, words
+from eqsim.numerics.streams import key as key_of
+from eqsim.numerics.tables import Array
+from eqsim.numerics.threads import ThreadPool
+
+_FIRST_WIDTH = 0.1  # of a window; later ones follow from how many candidates break
+_MOST_REJECTED = 0.25  # candidates per contact, after which a window is too wide
+_LARGEST_BOUND = 1e300  # of a rate; what breaks even faster breaks at once
+_SERIES = 0.5  # |w| below which `_weights` are a series, where differences cancel
+_TERMS = 18  # of the series, enough for the last bit
+_NO_ONE = -1  # in the place of a contact
+_ROOM = 8192  # bursts per call of a kernel, so many that calls cost nothing
+_FOLLOWED_TOGETHER = 1 << 15  # contacts of replicas in one call, which bounds its time
+MOST_CONTACTS = 20_000  # of a slider that is followed event by event
+_TOLD_AFTER = 0.1  # seconds between calls of `progress`
+
+# A slider at an instant, and what it has taken so far.
+SLIDER = np.dtype(
+    [
+        ("time", np.float64),  # where the window begins
+        ("X", np.float64),  # there
+        ("waited", np.float64),  # since
+        ("moved", np.float64),  # since
+        ("spring", np.float64),  # its stretch
+        ("force", np.float64),  # of the contacts where the window begins
+        ("stiffness", np.float64),  # of the contacts
+        ("width", np.float64),  # of a window
+        ("reach", np.float64),  # of this one, infinite if nothing is pinned
+        ("low", np.float64),  # displacement since the window began at which a
+        ("high", np.float64),  # contact breaks by motion, backwards and forwards
+        ("at_low", np.int64),  # which contact does, if it has not broken meanwhile
+        ("at_high", np.int64),
+        ("rejected", np.int64),  # candidates in this window
+        ("pinned", np.int64),
+        ("segment", np.int64),
+        ("row", np.int64),  # of the record that is next
+        ("breaks", np.int64),
+        ("work", np.float64),
+        ("damped", np.float64),  # energy taken by damping and slips
+        ("lost", np.float64),  # energy taken by breaks
+        ("lifetime", np.float64),  # until nothing holds the slider any more
+        ("begun", np.bool_),
+        ("done", np.bool_),
+        ("unbounded", np.bool_),  # a rate was above its bound
+    ],
+    align=True,
+)
+
+# Breaks at one instant.
+BURST = np.dtype(
+    [
+        ("replica", np.int64),
+        ("t", np.float64),
+        ("Y", np.float64),  # of the spring's end
+        ("X", np.float64),  # of the slider before
+        ("breaks", np.int64),
+        ("drop", np.float64),  # of the force of the contacts
+        ("distance", np.float64),  # by which the slider moves
+    ]
+)
+
+
+class Bonds(NamedTuple):
+    """Contacts of a replica, arrays (contacts,), and a heap of what happens next."""
+
+    state: Array  # `slider.CONTACT`, with stretches where the window begins
+    bound: Array  # of the rate in the window
+    tries: Array  # candidates of a life that have been drawn
+    instant: Array  # of the next candidate or birth since the window began, a heap
+    contact: Array  # which one
+    first: int  # number of the first contact
+    shared: bool  # those that form again have the stretch of the first ones
+
+
+class Driving(NamedTuple):
+    """What pulls the slider (`model.reduced.Pull`), with arrays (segments,), and the
+    instants that are recorded, (points,)."""
+
+    stiffness: float
+    damping: float
+    drag: float  # of a detached contact
+    stall: float
+    ends: Array
+    speeds: Array
+    forces: Array
+    force_rates: Array
+    instants: Array
+    stop: Array  # a flag (1,): anything but 0 ends the kernel
+
+
+class Course(NamedTuple):
+    """Motion from an instant on; `jumps` if the slider is in balance before."""
+
+    damping: float
+    elastic: float
+    net: float
+    gain: float
+    jumps: bool
+
+
+# ---- motion between events ----
+
+
+@routine(inline=True)
+def _applied(drive: Driving, now: Any) -> float:
+    """Force that is applied to the slider itself."""
+    i = now.segment
+    begin = drive.ends[i - 1] if i > 0 else 0.0
+    return drive.forces[i] + drive.force_rates[i] * (now.time - begin + now.waited)
+
+
+@routine(inline=True)
+def _held(now: Any) -> float:
+    """Force of the contacts."""
+    return now.force + now.stiffness * now.moved
+
+
+@routine(inline=True)
+def _net(drive: Driving, now: Any) -> float:
+    return drive.stiffness * now.spring + _applied(drive, now) - _held(now)
+
+
+@routine(inline=True)
+def _damping(drive: Driving, bonds: Bonds, now: Any) -> float:
+    """Damping of the slider and of all detached contacts."""
+    return drive.damping + drive.drag * (1.0 - now.pinned / bonds.bound.size)
+
+
+@routine
+def _course_from(drive: Driving, bonds: Bonds, now: Any) -> Course:
+    """Motion until the next event."""
+    speed = drive.speeds[now.segment]
+    damping = _damping(drive, bonds, now)
+    if drive.stall < math.inf:
+        sprung = drive.stiffness > 0.0
+        if speed == 0.0:  # a motor that is switched off stands
+            return Course(1.0, 0.0, 0.0, 0.0, sprung)
+        damping += drive.stall / abs(speed)
+        if sprung:
+            damping *= 1.0 + now.stiffness / drive.stiffness
+        net = math.copysign(drive.stall, speed) - _held(now)
+        return Course(damping, now.stiffness, net, 0.0, sprung)
+    elastic = drive.stiffness + now.stiffness
+    gain = drive.stiffness * speed + drive.force_rates[now.segment]
+    return Course(damping, elastic, _net(drive, now), gain, damping == 0.0)
+
+
+@routine
+def _weights(w: float) -> tuple[float, float, float]:
+    """(e^w - 1)/w, and (p - p(0))/w of this p, and of the last one, at w <= 0."""
+    if abs(w) < _SERIES:
+        third = 1.0
+        for n in range(_TERMS, 3, -1):
+            third = 1.0 + w * third / n
+        third /= 6.0
+        second = 0.5 + w * third
+        return 1.0 + w * second, second, third
+    first = math.expm1(w) / w
+    second = (first - 1.0) / w
+    return first, second, (second - 0.5) / w
+
+
+@routine
+def _displacement(course: Course, t: float) -> tuple[float, float]:
+    """x(t), and its integral from 0 to t."""
+    if course.damping == 0.0:
+        x = course.gain / course.elastic * t
+        return x, 0.5 * x * t
+    first, second, third = _weights(-course.elastic * t / course.damping)
+    per = t / course.damping
+    rise = course.gain * t
+    x = per * (course.net * first + rise * second)
+    return x, per * t * (course.net * second + rise * third)
+
+
+@routine
+def _velocity(course: Course, t: float) -> float:
+    if course.damping == 0.0:
+        return course.gain / course.elastic
+    w = -course.elastic * t / course.damping
+    first = _weights(w)[0]
+    return (course.net * math.exp(w) + course.gain * t * first) / course.damping
+
+
+@routine
+def _turn(course: Course) -> float:
+    """Time at which the velocity changes its sign, infinite if it does not."""
+    if course.damping == 0.0 or course.net * course.gain >= 0.0:
+        return math.inf
+    w = -course.net / course.gain * (course.elastic / course.damping)
+    stretched = math.log1p(w) / w if w > 0.0 else 1.0
+    return -course.net / course.gain * stretched
+
+
+@routine
+def _leaves(course: Course, t: float, low: float, high: float) -> tuple[float, int]:
+    """Time, up to t, at which x leaves the range from low to high, and 1 or -1 for the
+    end where it does, 0 if it stays."""
+    begin = 0.0
+    for end in (min(_turn(course), t), t):
+        x = _displacement(course, end)[0]
+        side = 1 if x >= high else -1 if x <= low else 0
+        if side != 0:
+            level = high if side > 0 else low
+            bracket, at = Bracket(begin, end), end
+            for _ in range(200):
+                excess = side * (_displacement(course, at)[0] - level)
+                slope = side * _velocity(course, at)
+                bracket, step = newton(bracket, at, excess, slope)
+                near = abs(step - at) <= 1e-15 * step
+                at = step
+                if near:
+                    break
+            return at, side
+        begin = end
+    return t, 0
+
+
+@routine
+def _advance(drive: Driving, bonds: Bonds, now: Any, course: Course, t: float) -> None:
+    """Follow the motion for a time t without an event."""
+    x, area = _displacement(course, t)
+    speed = drive.speeds[now.segment]
+    held = (_held(now) + 0.5 * now.stiffness * x) * x
+    spring = now.spring
+    if drive.stall < math.inf:
+        if drive.stiffness > 0.0 and speed != 0.0:
+            now.spring = (_held(now) + now.stiffness * x) / drive.stiffness
+        taken = math.copysign(drive.stall, speed) * x - held
+        outside = _damping(drive, bonds, now) / course.damping * taken
+        now.damped += outside
+        gained = 0.5 * drive.stiffness * (now.spring**2 - spring**2)
+        now.work += held + outside + gained
+    else:
+        way = speed * t
+        rate = drive.force_rates[now.segment]
+        work = (_applied(drive, now) + rate * t) * x - rate * area
+        work += drive.stiffness * (way * (spring + 0.5 * way) - speed * area)
+        now.spring += way - x
+        now.work += work
+        if course.damping > 0.0:
+            gained = 0.5 * drive.stiffness * (now.spring**2 - spring**2)
+            now.damped += work - held - gained
+    now.moved += x
+    now.waited += t
+
+
+# ---- contacts ----
+
+
+@routine(inline=True)
+def _limit(bonds: Bonds, now: Any, i: int) -> None:
+    """Take account of where a pinned contact breaks by motion."""
+    contact = bonds.state[i]
+    above = contact.threshold - contact.stretch
+    below = -contact.threshold - contact.stretch
+    if above < now.high:
+        now.high = max(above, now.moved)
+        now.at_high = i
+    if below > now.low:
+        now.low = min(below, now.moved)
+        now.at_low = i
+
+
+@routine
+def _look_ahead(bonds: Bonds, now: Any) -> None:
+    """Find where contacts break by motion."""
+    now.low, now.high = -math.inf, math.inf
+    for i in range(bonds.bound.size):
+        if bonds.state[i].pinned:
+            _limit(bonds, now, i)
+
+
+@routine
+def _enter(laws: Contacts, bonds: Bonds, now: Any, i: int) -> float:
+    """Take account of a pinned contact, and bound its rate in the window. Returns when
+    the next candidate for its break comes."""
+    contact = bonds.state[i]
+    xi = contact.threshold
+    _limit(bonds, now, i)
+    before = contact.clock
+    waited = now.waited
+    bonds.bound[i] = 0.0
+    if now.reach < math.inf:
+        middle = abs(contact.stretch)
+        far = min(middle + now.reach, xi)
+        near = min(max(middle - now.reach, 0.0), xi)
+        barrier, a = laws.barrier, laws.barrier.b * kappa(laws.springs, xi)
+        least = min(height(barrier, xi, near, a), height(barrier, xi, far, a))
+        most = max(prefactor(barrier, xi, near), prefactor(barrier, xi, far))
+        bonds.bound[i] = min(math.exp(barrier.log_w - least) * most, _LARGEST_BOUND)
+    contact.clock = before + bonds.bound[i] * waited
+    return contact.clock / bonds.bound[i] if bonds.bound[i] > 0.0 else math.inf
+
+
+@routine
+def _renew(laws: Contacts, bonds: Bonds, now: Any) -> None:
+    """Begin a window here and now."""
+    elapsed, moved = now.waited, now.moved
+    each = 1.0 / bonds.bound.size
+    now.time += elapsed
+    now.X += moved
+    now.waited = now.moved = now.force = now.stiffness = 0.0
+    now.pinned = now.rejected = 0
+    now.low, now.high = -math.inf, math.inf
+    now.reach = now.width
+    for i in range(bonds.bound.size):
+        contact = bonds.state[i]
+        bonds.contact[i] = i
+        if contact.pinned:
+            contact.stretch += moved
+            contact.clock = max(contact.clock - bonds.bound[i] * elapsed, 0.0)
+            stiffness = kappa(laws.springs, contact.threshold) * each
+            now.pinned += 1
+            now.stiffness += stiffness
+            now.force += stiffness * contact.stretch
+            bonds.instant[i] = _enter(laws, bonds, now, i)
+        else:
+            contact.time_to_pinning = max(contact.time_to_pinning - elapsed, 0.0)
+            bonds.instant[i] = contact.time_to_pinning
+    if now.pinned == 0:
+        now.reach = math.inf
+    for i in range(bonds.bound.size // 2 - 1, -1, -1):
+        put_back(bonds.instant, bonds.contact, bonds.instant[i], i)
+
+
+@routine
+def _pin(laws: Contacts, key: Key, bonds: Bonds, now: Any, i: int) -> float:
+    """Pin a contact. Returns when the first candidate for its break comes."""
+    contact = bonds.state[i]
+    number = bonds.first + i
+    xi, y, clock = draw_birth(laws.newborn, laws, key, number, contact.lives)
+    if bonds.shared:
+        y = now.X + now.moved
+    contact.threshold = xi
+    contact.stretch = y - now.moved
+    contact.clock = clock
+    contact.lives += 1
+    contact.pinned = True
+    contact.began_stationary = False
+    bonds.tries[i] = 0
+    stiffness = kappa(laws.springs, xi) / bonds.bound.size
+    now.pinned += 1
+    now.stiffness += stiffness
+    now.force += stiffness * contact.stretch
+    now.lost -= 0.5 * stiffness * y * y
+    return _enter(laws, bonds, now, i)
+
+
+@routine
+def _break(laws: Contacts, key: Key, bonds: Bonds, now: Any, i: int) -> float:
+    """Break a contact. Returns when it is pinned again, or breaks again if it is pinned
+    at once."""
+    contact = bonds.state[i]
+    stiffness = kappa(laws.springs, contact.threshold) / bonds.bound.size
+    x = contact.stretch + now.moved
+    now.breaks += 1
+    now.pinned -= 1
+    now.stiffness -= stiffness
+    now.force -= stiffness * contact.stretch
+    if now.pinned == 0:  # else rounding is left
+        now.stiffness = now.force = 0.0
+    now.lost += 0.5 * stiffness * x * x
+    now.at_low = _NO_ONE if now.at_low == i else now.at_low
+    now.at_high = _NO_ONE if now.at_high == i else now.at_high
+    number = bonds.first + i
+    delay = delay_after(laws, key, number, contact.lives - 1)
+    if contact.began_stationary:
+        delay = delay_of_the_first(laws, key, number)
+    contact.pinned = False
+    if delay == 0.0:
+        return _pin(laws, key, bonds, now, i)
+    contact.time_to_pinning = now.waited + delay
+    return contact.time_to_pinning
+
+
+@routine
+def _breaks_now(laws: Contacts, key: Key, bonds: Bonds, now: Any, i: int) -> bool:
+    """Decide on a candidate for the break of a contact, and draw the next one unless it
+    breaks."""
+    contact = bonds.state[i]
+    bonds.tries[i] += 1
+    number = bonds.first + i
+    draws = words(key, number, contact.lives, bonds.tries[i])
+    xi = contact.threshold
+    x = min(abs(contact.stretch + now.moved), xi)
+    bound = bonds.bound[i]
+    actual = rate(laws.barrier, xi, kappa(laws.springs, xi), x)
+    if actual > bound * (1.0 + 1e-9) and bound < _LARGEST_BOUND:
+        now.unbounded = True
+    unit = 2.0**-32
+    if (draws[0] + (draws[1] + 0.5) * unit) * unit * bound < actual:
+        return True
+    now.rejected += 1
+    more = -math.log((draws[2] + (draws[3] + 0.5) * unit) * unit)
+    contact.clock = bound * now.waited + more
+    put_back(bonds.instant, bonds.contact, contact.clock / bound, 0)
+    return False
+
+
+# ---- events ----
+
+
+@routine
+def _settle(
+    laws: Contacts, drive: Driving, key: Key, bonds: Bonds, now: Any, changed: bool
+) -> None:
+    """Move a slider that nothing slows down into balance, and break what breaks on the
+    way. The window is renewed if contacts have `changed` that are not next."""
+    while _course_from(drive, bonds, now).jumps and drive.stop[0] == 0:
+        elastic = drive.stiffness + now.stiffness
+        if elastic == 0.0:
+            now.lifetime = now.time + now.waited
+            return
+        net = _net(drive, now)
+        target = now.moved + net / elastic
+        balanced = now.low < target < now.high
+        i = _NO_ONE
+        if target >= now.high:
+            target, i = now.high, now.at_high
+        elif target <= now.low:
+            target, i = now.low, now.at_low
+        x = target - now.moved
+        now.damped += (net - 0.5 * elastic * x) * x
+        now.work += _applied(drive, now) * x
+        now.moved = target
+        now.spring -= x
+        if balanced:
+            break
+        if i != _NO_ONE:
+            _break(laws, key, bonds, now, i)
+            changed = True
+        _look_ahead(bonds, now)
+    if changed or abs(now.moved) > now.reach:
+        _renew(laws, bonds, now)
+
+
+@routine
+def _burst(
+    laws: Contacts, drive: Driving, key: Key, bonds: Bonds, now: Any, i: int, event: Any
+) -> int:
+    """Break contact i, if it is one, and what breaks at once because of this. Returns 1
+    if there is an event, 0 if nothing breaks."""
+    breaks, force, changed = now.breaks, _held(now), False
+    event.t = now.time + now.waited
+    event.X = now.X + now.moved
+    event.Y = event.X + now.spring
+    if i != _NO_ONE:
+        instant = _break(laws, key, bonds, now, i)
+        changed = bonds.contact[0] != i
+        if not changed:
+            put_back(bonds.instant, bonds.contact, instant, 0)
+    _settle(laws, drive, key, bonds, now, changed)
+    event.breaks = now.breaks - breaks
+    event.drop = force - _held(now)
+    event.distance = now.X + now.moved - event.X
+    return 1 if event.breaks > 0 else 0
+
+
+@routine
+def _note(laws: Contacts, drive: Driving, bonds: Bonds, now: Any, row: Any) -> None:
+    """Record the slider at an instant, a `slider_runs` record."""
+    square = stored = 0.0
+    for contact in bonds.state:
+        if contact.pinned:
+            x = contact.stretch + now.moved
+            stiffness = kappa(laws.springs, contact.threshold)
+            square += (stiffness * x) ** 2
+            stored += 0.5 * stiffness * x * x
+    each = 1.0 / bonds.bound.size
+    held = _held(now)
+    detached = 1.0 - now.pinned * each
+    row.X = now.X + now.moved
+    row.stage = row.X + now.spring
+    row.friction = held
+    if drive.drag > 0.0 and detached > 0.0:
+        speed = _velocity(_course_from(drive, bonds, now), 0.0)
+        row.friction += drive.drag * detached * speed
+    row.pinned = now.pinned / bonds.bound.size
+    row.variance = max(square * each - held * held, 0.0) * each
+    row.work = now.work
+    row.stored = 0.5 * drive.stiffness * now.spring**2 + stored * each
+    row.dissipated = now.lost + now.damped
+    if now.lifetime < math.inf:
+        row.X = row.stage = math.nan
+
+
+@routine
+def _begin(laws: Contacts, key: Key, bonds: Bonds, now: Any) -> None:
+    """Pin the contacts that are not pinned yet, without a delay."""
+    now.reach = math.inf
+    for i in range(bonds.bound.size):
+        bonds.bound[i] = 0.0
+        bonds.tries[i] = 0
+        contact = bonds.state[i]
+        if not contact.pinned and contact.time_to_pinning <= 0.0:
+            _pin(laws, key, bonds, now, i)
+    now.lost = 0.0
+    now.begun = True
+    _renew(laws, bonds, now)
+
+
+@routine
+def _next_event(
+    laws: Contacts, drive: Driving, key: Key, bonds: Bonds, now: Any, event: Any
+) -> int:
+    """Follow a slider to its next event. Returns 1 if contacts break there, and 2 if
+    it is to be recorded."""
+    if now.reach == math.inf and now.pinned > 0:
+        _renew(laws, bonds, now)
+    course = _course_from(drive, bonds, now)
+    last = now.segment + 1 == drive.ends.size
+    segment = math.inf if last else drive.ends[now.segment] - now.time
+    instant = min(bonds.instant[0], segment) - now.waited
+    recorded = drive.instants[now.row] - now.time - now.waited
+    t = max(min(instant, recorded), 0.0)
+    high, low = min(now.high, now.reach), max(now.low, -now.reach)
+    t, side = _leaves(course, t, low - now.moved, high - now.moved)
+    _advance(drive, bonds, now, course, t)
+    if side != 0:
+        now.moved = high if side > 0 else low
+        by_motion = now.high <= now.reach if side > 0 else -now.low <= now.reach
+        i = now.at_high if side > 0 else now.at_low
+        if by_motion and i != _NO_ONE:
+            return _burst(laws, drive, key, bonds, now, i, event)
+        if not by_motion and 4.0 * now.rejected < _MOST_REJECTED * bonds.bound.size:
+            now.width *= 2.0
+        _renew(laws, bonds, now)
+        return 0
+    if recorded <= instant:
+        return 2
+    if bonds.instant[0] > segment:
+        now.segment += 1
+        return _burst(laws, drive, key, bonds, now, _NO_ONE, event)
+    i = bonds.contact[0]
+    if not bonds.state[i].pinned:
+        put_back(bonds.instant, bonds.contact, _pin(laws, key, bonds, now, i), 0)
+        return _burst(laws, drive, key, bonds, now, _NO_ONE, event)
+    if _breaks_now(laws, key, bonds, now, i):
+        return _burst(laws, drive, key, bonds, now, i, event)
+    if now.rejected > _MOST_REJECTED * bonds.bound.size + 4.0:
+        now.width *= 0.5
+        _renew(laws, bonds, now)
+    return 0
+
+
+@kernel
+def follow_replicas(
+    laws: Contacts,
+    drive: Driving,
+    key: Key,
+    bonds: Bonds,
+    sliders: Array,
+    courses: Array,
+    events: Array,
+) -> tuple[int, bool]:
+    """Follow replicas one after the other. `bonds.state` has the shape (replicas,
+    contacts), `sliders` (replicas,) holds records of type `SLIDER`, and `courses`
+    (replicas, points) those of `slider_runs`. Returns the number of bursts, and False
+    if there are more than `events` has room for."""
+    rows = 0
+    contacts = bonds.bound.size
+    for r in range(sliders.size):
+        now = sliders[r]
+        first = bonds.first + r * contacts
+        _, bound, tries, instant, contact, _, shared = bonds
+        mine = Bonds(bonds.state[r], bound, tries, instant, contact, first, shared)
+        while not now.done and drive.stop[0] == 0:
+            if rows == events.size:
+                return rows, False
+            event = events[rows]
+            event.replica = r
+            found = 2
+            if not now.begun:
+                _begin(laws, key, mine, now)
+                _note(laws, drive, mine, now, courses[r, 0])
+                now.row = 1
+                found = _burst(laws, drive, key, mine, now, _NO_ONE, event)
+            elif now.lifetime == math.inf:
+                found = _next_event(laws, drive, key, mine, now, event)
+            if found == 1:
+                rows += 1
+            elif found == 2:
+                _note(laws, drive, mine, now, courses[r, now.row])
+                now.row += 1
+                now.done = now.row == drive.instants.size
+    return rows, True
+
+
+def by_events(ensemble: Ensemble, programme: Programme) -> bool:
+    """True if a slider is followed event by event: without a mass, on contacts whose
+    rates of breaking do not change with their age. Behind a stage it is so if nothing
+    slows it down, and contacts wait for heat or to be pinned. Contacts that only a
+    rising force breaks, once, are for `engine.avalanches`."""
+    if ensemble.populations:
+        return False
+    pull = pull_of(ensemble, programme)
+    laws = contacts(ensemble, pull.pace)
+    heat, delay = laws.barrier.thermal, laws.delay.mean
+    slowed = pull.damping > 0.0 or ensemble.eta > 0.0
+    cold_bundle = pull.forced and not heat and delay == math.inf and not slowed
+    if pull.motor:
+        driven = pull.stiffness == 0.0 or not slowed
+    elif pull.forced:
+        driven = not (cold_bundle and pull.slow)
+    else:
+        driven = not slowed and (heat or delay > 0.0)
+    return bool(
+        driven
+        and pull.mass == 0.0
+        and (ensemble.disorder == "quenched" or not heat)
+        and not ensemble.aging.active
+        and ensemble.count <= MOST_CONTACTS
+    )
+
+
+def require_events(ensemble: Ensemble, programme: Programme, eventful: bool) -> None:
+    """Raise InputError for a drive that steps do not follow."""
+    asked = {
+        "drive.stall_force: with drive.stage": programme.motor and programme.stage,
+        'drive.rebinding = "shared"': programme.rebinding == "shared",
+    }
+    for name in (name for name, given in asked.items() if given and not eventful):
+        raise InputError(
+            f"{name}: needs contacts.count <= {MOST_CONTACTS} of one kind that do not "
+            "age, quenched, and neither viscosity, drive.stage.damping nor mass"
+        )
+
+
+def follow_events(
+    ensemble: Ensemble,
+    programme: Programme,
+    seed: int,
+    instants: Array,
+    courses: Array,
+    threads: int,
+    told: Callable[[int], None],
+) -> tuple[Array, Array]:
+    """Follow all replicas, and fill their `courses` (replicas, points), records of
+    `slider_runs` at these instants; `told` gets the lives so far. Returns sliders in
+    the end, `SLIDER` (replicas,), and all bursts, `BURST`. Raises InputError for a rate that is
+    greatest between two stretches instead of at one of them."""
+    unit, count = ensemble.thresholds.scale, ensemble.count
+    pull, key = pull_of(ensemble, programme), key_of(seed, TRAJECTORY)
+    laws = contacts(ensemble, pull.pace)
+    drag = drag_of(ensemble, pull.pace)
+    replicas = len(courses)
+    sliders = np.zeros(replicas, SLIDER)
+    sliders["width"] = _FIRST_WIDTH
+    sliders["lifetime"] = math.inf
+    stage, shared = programme.stage, programme.rebinding == "shared"
+    speed = (programme.start == "stationary" and programme.velocity) or 0.0
+
+    def block(first: int, last: int) -> Array:
+        state = np.zeros((last - first, count), CONTACT)
+        begun = sliders[first:last]
+        begun["spring"] = (stage.preload or 0.0) / unit if stage else 0.0
+        if speed:
+            before = contacts(ensemble, speed)
+            find_stationary(
+                before, key, first * count, state.ravel(), speed / pull.pace
+            )
+            if stage and stage.preload is None:
+                stretch = state["stretch"] * state["pinned"]
+                force = kappa(laws.springs, state["threshold"]) * stretch
+                detached = 1.0 - state["pinned"].mean(axis=1)
+                damped = (pull.damping + drag * detached) * speed / pull.pace
+                begun["spring"] = (force.mean(axis=1) + damped) / pull.stiffness
+        arrays = np.zeros(count), np.zeros(count, np.int64), np.zeros(count)
+        bonds = Bonds(state, *arrays, np.zeros(count, np.int64), first * count, shared)
+        drive = Driving(
+            pull.stiffness,
+            pull.damping,
+            drag,
+            pull.stall,
+            np.array(pull.ends),
+            np.array(pull.speeds),
+            np.array(pull.forces),
+            np.array(pull.force_rates),
+            instants,
+            pool.stop,
+        )
+        found, room, done = [], np.empty(_ROOM, BURST), False
+        while not done:
+            followed = laws, drive, key, bonds, begun, courses[first:last], room
+            rows, done = follow_replicas(*followed)
+            found.append(room[:rows].copy())
+            found[-1]["replica"] += first
+        return np.concatenate(found)
+
+    together = max(1, _FOLLOWED_TOGETHER // count)
+    edges = [*range(0, replicas, together), replicas]
+    with ThreadPool(threads) as pool:
+        pending = [pool.submit(block, *edge) for edge in pairwise(edges)]
+        left = set(pending)
+        while left:
+            left = wait(left, timeout=_TOLD_AFTER, return_when=FIRST_COMPLETED)[1]
+            told(int(sliders["breaks"].sum()) + replicas * count)
+        bursts = np.concatenate([each.result() for each in pending])
+    if sliders["unbounded"].any():
+        said = "its rate has to be greatest at an end of any range of stretches"
+        raise InputError(f'thermal.barrier = "{ensemble.thermal.barrier}": {said}')
+    return sliders, bursts
