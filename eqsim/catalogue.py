@@ -65,6 +65,8 @@ class Entry(NamedTuple):
         Its meaning in full, for the documentation (Markdown) and exported tables.
     default, values : str
         For the documentation, where the program's own default and type say too little.
+    since : str
+        The version with which a key came, if that was after 0.1.
     """
 
     words: str = ""
@@ -74,6 +76,7 @@ class Entry(NamedTuple):
     meaning: str = ""
     default: str = ""
     values: str = ""
+    since: str = ""
 
     @property
     def mathtext(self) -> str:

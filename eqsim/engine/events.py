@@ -1,18 +1,15 @@
-"""A slider without a mass, event by event: under a force, behind a stage or a motor.
+"""A slider that nothing but a motor slows down, event by event: under a force, behind a
+stage, or behind a motor.
 
 Between two events, a break, a birth, or a change of the drive, X(t) is known in closed
-form. With x the displacement since the last event it obeys
+form. Under a force and behind a stage the slider is always in balance, kappa (Y - X) +
+f(t) = F: it moves at a constant velocity, and jumps at a break. A motor of stall force s
+and unloaded velocity u drives the slider itself, or its end of the spring, at
 
-    c x' = net + gain t - elastic x                                       (derived)
+    u (1 - |F|/s),    so that    (s/|u|)(1 + A/kappa) X' = +-s - F        (derived)
 
-under a force f(t) and behind a stage with elastic = kappa + A, A the stiffness of what
-is pinned, and c the damping. Without damping the slider is always in balance, and jumps
-at a break. A motor of stall force s and unloaded velocity u drives a slider itself with
-c = s/|u|, or the stage's end of the spring, Y' = u (1 - |F|/s), so that
-
-    (s/|u|)(1 + A/kappa) X' = s - |F|                                     (derived)
-
-and X jumps at a break, too.
+with A the stiffness of what is pinned (without a spring 1/kappa is 0): an exponential
+relaxation. Behind a spring X jumps at a break, too.
 
 Breaks by heat are exact random times, drawn by thinning (Lewis and Shedler, 1979): as
 long as the slider stays within a window of X, the rate of a contact is below a bound.
@@ -42,9 +39,8 @@ from eqsim.laws.barrier.base import height, prefactor, rate
 from eqsim.laws.stiffness import kappa
 from eqsim.model.drive import Programme
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import drag_of, pull_of
+from eqsim.model.reduced import Pull, pull_of
 from eqsim.numerics.compiled import kernel, routine
-from eqsim.numerics.roots import Bracket, newton
 from eqsim.numerics.streams import TRAJECTORY, Key, words
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
@@ -53,8 +49,6 @@ from eqsim.numerics.threads import ThreadPool
 _FIRST_WIDTH = 0.1  # of a window; later ones follow from how many candidates break
 _MOST_REJECTED = 0.25  # candidates per contact, after which a window is too wide
 _LARGEST_BOUND = 1e300  # of a rate; what breaks even faster breaks at once
-_SERIES = 0.5  # |w| below which `_weights` are a series, where differences cancel
-_TERMS = 18  # of the series, enough for the last bit
 _NO_ONE = -1  # in the place of a contact
 _ROOM = 8192  # bursts per call of a kernel, so many that calls cost nothing
 _FOLLOWED_TOGETHER = 1 << 15  # contacts of replicas in one call, which bounds its time
@@ -83,7 +77,7 @@ SLIDER = np.dtype(
         ("row", np.int64),  # of the record that is next
         ("breaks", np.int64),
         ("work", np.float64),
-        ("damped", np.float64),  # energy taken by damping and slips
+        ("slipped", np.float64),  # energy set free by slips
         ("lost", np.float64),  # energy taken by breaks
         ("lifetime", np.float64),  # until nothing holds the slider any more
         ("begun", np.bool_),
@@ -124,8 +118,6 @@ class Driving(NamedTuple):
     instants that are recorded, (points,)."""
 
     stiffness: float
-    damping: float
-    drag: float  # of a detached contact
     stall: float
     ends: Array
     speeds: Array
@@ -136,13 +128,10 @@ class Driving(NamedTuple):
 
 
 class Course(NamedTuple):
-    """Motion from an instant on; `jumps` if the slider is in balance before."""
+    """Motion from an instant on: its velocity, which relaxes at a rate."""
 
-    damping: float
-    elastic: float
-    net: float
-    gain: float
-    jumps: bool
+    velocity: float
+    relaxation: float
 
 
 # ---- motion between events ----
@@ -163,131 +152,59 @@ def _held(now: Any) -> float:
 
 
 @routine(inline=True)
-def _net(drive: Driving, now: Any) -> float:
-    return drive.stiffness * now.spring + _applied(drive, now) - _held(now)
+def _course_from(drive: Driving, now: Any) -> Course:
+    """Motion until the next event."""
+    speed = drive.speeds[now.segment]
+    if drive.stall == math.inf:
+        gain = drive.stiffness * speed + drive.force_rates[now.segment]
+        return Course(gain / (drive.stiffness + now.stiffness), 0.0)
+    damping = drive.stall
+    if drive.stiffness > 0.0:
+        damping *= 1.0 + now.stiffness / drive.stiffness
+    net = math.copysign(drive.stall, speed) - _held(now)
+    return Course(abs(speed) * net / damping, abs(speed) * now.stiffness / damping)
 
 
 @routine(inline=True)
-def _damping(drive: Driving, bonds: Bonds, now: Any) -> float:
-    """Damping of the slider and of all detached contacts."""
-    return drive.damping + drive.drag * (1.0 - now.pinned / bonds.bound.size)
-
-
-@routine
-def _course_from(drive: Driving, bonds: Bonds, now: Any) -> Course:
-    """Motion until the next event."""
-    speed = drive.speeds[now.segment]
-    damping = _damping(drive, bonds, now)
-    if drive.stall < math.inf:
-        sprung = drive.stiffness > 0.0
-        if speed == 0.0:  # a motor that is switched off stands
-            return Course(1.0, 0.0, 0.0, 0.0, sprung)
-        damping += drive.stall / abs(speed)
-        if sprung:
-            damping *= 1.0 + now.stiffness / drive.stiffness
-        net = math.copysign(drive.stall, speed) - _held(now)
-        return Course(damping, now.stiffness, net, 0.0, sprung)
-    elastic = drive.stiffness + now.stiffness
-    gain = drive.stiffness * speed + drive.force_rates[now.segment]
-    return Course(damping, elastic, _net(drive, now), gain, damping == 0.0)
-
-
-@routine
-def _weights(w: float) -> tuple[float, float, float]:
-    """(e^w - 1)/w, and (p - p(0))/w of this p, and of the last one, at w <= 0."""
-    if abs(w) < _SERIES:
-        third = 1.0
-        for n in range(_TERMS, 3, -1):
-            third = 1.0 + w * third / n
-        third /= 6.0
-        second = 0.5 + w * third
-        return 1.0 + w * second, second, third
-    first = math.expm1(w) / w
-    second = (first - 1.0) / w
-    return first, second, (second - 0.5) / w
-
-
-@routine
-def _displacement(course: Course, t: float) -> tuple[float, float]:
-    """x(t), and its integral from 0 to t."""
-    if course.damping == 0.0:
-        x = course.gain / course.elastic * t
-        return x, 0.5 * x * t
-    first, second, third = _weights(-course.elastic * t / course.damping)
-    per = t / course.damping
-    rise = course.gain * t
-    x = per * (course.net * first + rise * second)
-    return x, per * t * (course.net * second + rise * third)
-
-
-@routine
-def _velocity(course: Course, t: float) -> float:
-    if course.damping == 0.0:
-        return course.gain / course.elastic
-    w = -course.elastic * t / course.damping
-    first = _weights(w)[0]
-    return (course.net * math.exp(w) + course.gain * t * first) / course.damping
-
-
-@routine
-def _turn(course: Course) -> float:
-    """Time at which the velocity changes its sign, infinite if it does not."""
-    if course.damping == 0.0 or course.net * course.gain >= 0.0:
-        return math.inf
-    w = -course.net / course.gain * (course.elastic / course.damping)
-    stretched = math.log1p(w) / w if w > 0.0 else 1.0
-    return -course.net / course.gain * stretched
+def _displacement(course: Course, t: float) -> float:
+    w = course.relaxation * t
+    return course.velocity * t * (-math.expm1(-w) / w if w > 0.0 else 1.0)
 
 
 @routine
 def _leaves(course: Course, t: float, low: float, high: float) -> tuple[float, int]:
-    """Time, up to t, at which x leaves the range from low to high, and 1 or -1 for the
-    end where it does, 0 if it stays."""
-    begin = 0.0
-    for end in (min(_turn(course), t), t):
-        x = _displacement(course, end)[0]
-        side = 1 if x >= high else -1 if x <= low else 0
-        if side != 0:
-            level = high if side > 0 else low
-            bracket, at = Bracket(begin, end), end
-            for _ in range(200):
-                excess = side * (_displacement(course, at)[0] - level)
-                slope = side * _velocity(course, at)
-                bracket, step = newton(bracket, at, excess, slope)
-                near = abs(step - at) <= 1e-15 * step
-                at = step
-                if near:
-                    break
-            return at, side
-        begin = end
-    return t, 0
+    """Time, up to t, at which the displacement leaves the range from low to high, and 1
+    or -1 for the end where it does, 0 if it stays."""
+    forwards = course.velocity > 0.0 or (course.velocity == 0.0 and high <= 0.0)
+    side, level = (1, max(high, 0.0)) if forwards else (-1, min(low, 0.0))
+    if level == 0.0:
+        return 0.0, side
+    at = level / course.velocity
+    w = course.relaxation * at
+    if at < 0.0 or w >= 1.0:
+        return t, 0
+    at *= -math.log1p(-w) / w if w > 0.0 else 1.0
+    return (at, side) if at < t else (t, 0)
 
 
 @routine
-def _advance(drive: Driving, bonds: Bonds, now: Any, course: Course, t: float) -> None:
+def _advance(drive: Driving, now: Any, course: Course, t: float) -> None:
     """Follow the motion for a time t without an event."""
-    x, area = _displacement(course, t)
-    speed = drive.speeds[now.segment]
-    held = (_held(now) + 0.5 * now.stiffness * x) * x
+    x = _displacement(course, t)
+    held = _held(now) + 0.5 * now.stiffness * x
+    way = drive.speeds[now.segment] * t
     spring = now.spring
-    if drive.stall < math.inf:
-        if drive.stiffness > 0.0 and speed != 0.0:
-            now.spring = (_held(now) + now.stiffness * x) / drive.stiffness
-        taken = math.copysign(drive.stall, speed) * x - held
-        outside = _damping(drive, bonds, now) / course.damping * taken
-        now.damped += outside
-        gained = 0.5 * drive.stiffness * (now.spring**2 - spring**2)
-        now.work += held + outside + gained
-    else:
-        way = speed * t
-        rate = drive.force_rates[now.segment]
-        work = (_applied(drive, now) + rate * t) * x - rate * area
-        work += drive.stiffness * (way * (spring + 0.5 * way) - speed * area)
+    if drive.stall == math.inf:
         now.spring += way - x
-        now.work += work
-        if course.damping > 0.0:
-            gained = 0.5 * drive.stiffness * (now.spring**2 - spring**2)
-            now.damped += work - held - gained
+        now.work += (
+            _applied(drive, now) + 0.5 * drive.force_rates[now.segment] * t
+        ) * x
+        now.work += drive.stiffness * way * 0.5 * (spring + now.spring)
+    else:
+        if drive.stiffness > 0.0 and way != 0.0:
+            now.spring += now.stiffness * x / drive.stiffness
+        now.work += held * x
+        now.work += 0.5 * drive.stiffness * (now.spring**2 - spring**2)
     now.moved += x
     now.waited += t
 
@@ -454,12 +371,13 @@ def _settle(
 ) -> None:
     """Move a slider that nothing slows down into balance, and break what breaks on the
     way. The window is renewed if contacts have `changed` that are not next."""
-    while _course_from(drive, bonds, now).jumps and drive.stop[0] == 0:
+    jumps = drive.stall == math.inf or drive.stiffness > 0.0
+    while jumps and drive.stop[0] == 0:
         elastic = drive.stiffness + now.stiffness
         if elastic == 0.0:
             now.lifetime = now.time + now.waited
             return
-        net = _net(drive, now)
+        net = drive.stiffness * now.spring + _applied(drive, now) - _held(now)
         target = now.moved + net / elastic
         balanced = now.low < target < now.high
         i = _NO_ONE
@@ -468,7 +386,7 @@ def _settle(
         elif target <= now.low:
             target, i = now.low, now.at_low
         x = target - now.moved
-        now.damped += (net - 0.5 * elastic * x) * x
+        now.slipped += (net - 0.5 * elastic * x) * x
         now.work += _applied(drive, now) * x
         now.moved = target
         now.spring -= x
@@ -516,18 +434,14 @@ def _note(laws: Contacts, drive: Driving, bonds: Bonds, now: Any, row: Any) -> N
             stored += 0.5 * stiffness * x * x
     each = 1.0 / bonds.bound.size
     held = _held(now)
-    detached = 1.0 - now.pinned * each
     row.X = now.X + now.moved
     row.stage = row.X + now.spring
     row.friction = held
-    if drive.drag > 0.0 and detached > 0.0:
-        speed = _velocity(_course_from(drive, bonds, now), 0.0)
-        row.friction += drive.drag * detached * speed
     row.pinned = now.pinned / bonds.bound.size
     row.variance = max(square * each - held * held, 0.0) * each
     row.work = now.work
     row.stored = 0.5 * drive.stiffness * now.spring**2 + stored * each
-    row.dissipated = now.lost + now.damped
+    row.dissipated = now.lost + now.slipped
     if now.lifetime < math.inf:
         row.X = row.stage = math.nan
 
@@ -555,7 +469,7 @@ def _next_event(
     it is to be recorded."""
     if now.reach == math.inf and now.pinned > 0:
         _renew(laws, bonds, now)
-    course = _course_from(drive, bonds, now)
+    course = _course_from(drive, now)
     last = now.segment + 1 == drive.ends.size
     segment = math.inf if last else drive.ends[now.segment] - now.time
     instant = min(bonds.instant[0], segment) - now.waited
@@ -563,7 +477,7 @@ def _next_event(
     t = max(min(instant, recorded), 0.0)
     high, low = min(now.high, now.reach), max(now.low, -now.reach)
     t, side = _leaves(course, t, low - now.moved, high - now.moved)
-    _advance(drive, bonds, now, course, t)
+    _advance(drive, now, course, t)
     if side != 0:
         now.moved = high if side > 0 else low
         by_motion = now.high <= now.reach if side > 0 else -now.low <= now.reach
@@ -634,37 +548,26 @@ def follow_replicas(
     return rows, True
 
 
-def by_events(ensemble: Ensemble, programme: Programme) -> bool:
-    """True if a slider is followed event by event: without a mass, on contacts whose
-    rates of breaking do not change with their age. Behind a stage it is so if nothing
-    slows it down, and contacts wait for heat or to be pinned. Contacts that only a
-    rising force breaks, once, are for `engine.avalanches`."""
-    if ensemble.populations:
-        return False
-    pull = pull_of(ensemble, programme)
-    laws = contacts(ensemble, pull.pace)
+def by_events(ensemble: Ensemble, programme: Programme, pull: Pull) -> bool:
+    """True if a slider is followed event by event: without mass and damping, on
+    contacts of one kind whose rates of breaking do not change with their age, which
+    wait for heat or to be pinned. Contacts that only a rising force breaks, once, are
+    for `engine.avalanches`. Raises InputError for drives that steps do not follow."""
+    laws = contacts(ensemble.kinds[0].contacts, pull.pace)
     heat, delay = laws.barrier.thermal, laws.delay.mean
-    slowed = pull.damping > 0.0 or ensemble.eta > 0.0
-    cold_bundle = pull.forced and not heat and delay == math.inf and not slowed
-    if pull.motor:
-        driven = pull.stiffness == 0.0 or not slowed
-    elif pull.forced:
-        driven = not (cold_bundle and pull.slow)
-    else:
-        driven = not slowed and (heat or delay > 0.0)
-    return bool(
-        driven
-        and pull.mass == 0.0
+    waits = heat or delay > 0.0
+    if pull.forced:
+        waits = heat or delay < math.inf or not pull.slow
+    eventful = bool(
+        (waits or pull.motor)
+        and not ensemble.populations
+        and pull.mass == pull.damping == ensemble.eta == 0.0
         and (ensemble.disorder == "quenched" or not heat)
         and not ensemble.aging.active
         and ensemble.count <= MOST_CONTACTS
     )
-
-
-def require_events(ensemble: Ensemble, programme: Programme, eventful: bool) -> None:
-    """Raise InputError for a drive that steps do not follow."""
     asked = {
-        "drive.stall_force: with drive.stage": programme.motor and programme.stage,
+        "drive.stall_force: with drive.stage": pull.motor and pull.stiffness > 0.0,
         'drive.rebinding = "shared"': programme.rebinding == "shared",
     }
     for name in (name for name, given in asked.items() if given and not eventful):
@@ -672,6 +575,7 @@ def require_events(ensemble: Ensemble, programme: Programme, eventful: bool) -> 
             f"{name}: needs contacts.count <= {MOST_CONTACTS} of one kind that do not "
             "age, quenched, and neither viscosity, drive.stage.damping nor mass"
         )
+    return eventful
 
 
 def follow_events(
@@ -690,7 +594,6 @@ def follow_events(
     unit, count = ensemble.thresholds.scale, ensemble.count
     pull, key = pull_of(ensemble, programme), key_of(seed, TRAJECTORY)
     laws = contacts(ensemble, pull.pace)
-    drag = drag_of(ensemble, pull.pace)
     replicas = len(courses)
     sliders = np.zeros(replicas, SLIDER)
     sliders["width"] = _FIRST_WIDTH
@@ -710,15 +613,11 @@ def follow_events(
             if stage and stage.preload is None:
                 stretch = state["stretch"] * state["pinned"]
                 force = kappa(laws.springs, state["threshold"]) * stretch
-                detached = 1.0 - state["pinned"].mean(axis=1)
-                damped = (pull.damping + drag * detached) * speed / pull.pace
-                begun["spring"] = (force.mean(axis=1) + damped) / pull.stiffness
+                begun["spring"] = force.mean(axis=1) / pull.stiffness
         arrays = np.zeros(count), np.zeros(count, np.int64), np.zeros(count)
         bonds = Bonds(state, *arrays, np.zeros(count, np.int64), first * count, shared)
         drive = Driving(
             pull.stiffness,
-            pull.damping,
-            drag,
             pull.stall,
             np.array(pull.ends),
             np.array(pull.speeds),

@@ -290,8 +290,7 @@ def pulled(
         if progress:
             progress(lives + more)
 
-    eventful = events.by_events(ensemble, programme)
-    events.require_events(ensemble, programme, eventful)
+    eventful = events.by_events(ensemble, programme, pull)
     if eventful:
         begin = time.perf_counter()
         runs = _by_events(ensemble, programme, seed, instants, every, workers, told)

@@ -128,8 +128,11 @@ def _limits(
     rule, annealed = file["aging.rule"], file["disorder"] == "annealed"
     if cold and "thermal.attempt_frequency" in by_key:
         yield "thermal.attempt_frequency: has no effect at thermal.kT = 0"
+    idle = {"drive.distance", "drive.stage.tolerance"}
+    if "record" not in measured:
+        idle |= {"delay.shape", "delay.sigma"}
     for key in by_key:
-        if key in ("drive.distance", "drive.stage.tolerance"):
+        if key in idle:
             yield f"{key}: has no effect on a steady observable"
     shapes = (key for key in by_key if key.startswith("thresholds."))
     widths = [key for key in shapes if key not in _SIZES]

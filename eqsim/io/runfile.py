@@ -18,6 +18,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from eqsim import catalogue
 from eqsim.errors import (
     NOT_NEGATIVE,
     POSITIVE,
@@ -391,7 +392,7 @@ def _population(file: RunFile, index: int) -> RunFile:
             _without_alternatives(
                 data, {f"{name}.{key}": x for key, x in given.items()}
             )
-            alone = given.keys() & {"law", "rule"}
+            alone = given.keys() & {"law", "rule", "barrier"}
             data[name] = given if alone else data.get(name, {}) | given
     return check(data, file.folder)
 
@@ -561,15 +562,6 @@ _PARAMETERS: dict[str, type] = {
     and not name.startswith(("units.", "interface.", "drive.programme.", "population."))
     and name.rpartition(".")[0] not in schema.OPTIONAL
 }
-# Likewise of a population.
-_OF_POPULATION: dict[str, type] = {
-    name.removeprefix("population."): key.kind
-    for name, key in schema.KEYS.items()
-    if name.partition(".")[0] in ("population", *schema.OF_POPULATION)
-}
-# Keys that count where they have a value, as those of optional sections do: points of
-# sweeps keep their names.
-_WHERE_GIVEN = ("thermal.off_rate", "thermal.force_scale")
 
 
 def keys(file: RunFile | None = None) -> dict[str, type]:
@@ -580,15 +572,18 @@ def keys(file: RunFile | None = None) -> dict[str, type]:
     known = dict(_PARAMETERS)
     if file is None:
         return known
-    for name in _WHERE_GIVEN:
-        if file[name] is None:
-            del known[name]
     for section in schema.OPTIONAL:
         if file[section]:
             below = schema.keys_of(section).items()
             known |= {f"{section}.{name}": key.kind for name, key in below}
     for index in range(len(file["population"] or [])):
-        known |= {f"population.{index}.{n}": kind for n, kind in _OF_POPULATION.items()}
+        above, alone = f"population.{index}.", keys(_population(file, index))
+        known |= {f"{above}share": float, f"{above}stiffness": float}
+        known |= {
+            above + name: kind
+            for name, kind in alone.items()
+            if name.partition(".")[0] in schema.OF_POPULATION
+        }
     kinds = {n: key.kind for n, key in schema.keys_of("drive.programme").items()}
     for index, segment in enumerate(file["drive.programme"] or []):
         given = (name for name, value in segment.items() if value is not None)
@@ -605,6 +600,19 @@ def parameters(file: RunFile) -> dict[str, Any]:
             found[f"thresholds.{key}"] = default
     # no -0.0
     return {k: v + 0.0 if isinstance(v, float) else v for k, v in found.items()}
+
+
+_NEWER = {name for name, key in catalogue.KEYS.items() if key.since}
+
+
+def naming(file: RunFile) -> dict[str, Any]:
+    """The `parameters` that name a point of a sweep. Keys that came with a later version
+    are among them where they differ from their defaults: points keep their names."""
+    return {
+        key: value
+        for key, value in parameters(file).items()
+        if key not in _NEWER or value != schema.KEYS[key].default
+    }
 
 
 def _part(data: Any, name: str) -> Any:

@@ -23,19 +23,13 @@ from eqsim.errors import (
 )
 from eqsim.laws.law import Law
 from eqsim.numerics.compiled import by_law, routine
-from eqsim.numerics.roots import bisected
-from eqsim.numerics.tables import Array, look_up, octave_edges, octave_table
+from eqsim.numerics.tables import Array, look_up, octave_edges, octave_table, search
 from eqsim.numerics.vector_math import log
 
 # e = -ln(1 - P) of tables of quantiles: uniforms of 63 bits reach e = 44
 _OCTAVES = (-64, 6)
 # ln e of the knots of a law: neighbours are a sixtieth of its width apart at the median
 _LOG_RANKS = np.linspace(-40.0, 4.2, 2400)
-# ln of the shortest and of the longest residual delay over the mean
-_LEAST_LOG_REST = -60.0
-_MOST_LOG_REST = 60.0
-# of a bracket of 120, to rounding
-_HALVINGS = 60
 # nodes of the trapezoidal rule for a normal variable
 _NODES = np.linspace(-10.0, 10.0, 201)
 # |p| times the mean delay below which 1 - E[exp(-p delay)] would lose digits
@@ -142,33 +136,17 @@ class _Shaped(NamedTuple):
 
 class _Drawn:
     """Base of laws that kernels draw from tables. Each gives functions of u = delay/mean,
-    arrays: the `density`; P(u' > u), `above`; its integral from 0 to u, `begun`, which
-    is P(rest <= u) in the stationary state, and the rest of it, `still`; the u that a
-    share exp(-e) exceeds, `exceeded`; and `forgotten`. Other methods are those of
-    `Fixed`."""
+    arrays: P(u' > u), `above`; its integral from 0 to u, `begun`, which is P(rest <= u)
+    in the stationary state; and the u that a share exp(-e) exceeds, `exceeded`. All
+    else is that of `Fixed`."""
 
     __slots__ = ()
     mean: float
     shape: float
-    density: Callable[[Array], Array]
     above: Callable[[Array], Array]
     begun: Callable[[Array], Array]
-    still: Callable[[Array], Array]
     exceeded: Callable[[Array], Array]
     forgotten: Callable[[Array], Array]
-
-    def residual_exceeded(self, e: Array) -> Array:
-        """The u that a share exp(-e) of residual delays exceeds."""
-
-        def below(log_u: Array) -> Array:
-            u = np.exp(log_u)
-            begun = np.minimum(self.begun(u), 0.5)
-            with np.errstate(divide="ignore"):  # nothing is left
-                rank = np.where(begun < 0.5, -np.log1p(-begun), -np.log(self.still(u)))
-            return rank < e
-
-        ends = np.full((2, e.size), ((_LEAST_LOG_REST,), (_MOST_LOG_REST,)))
-        return np.asarray(np.exp(bisected(below, ends[0], ends[1], _HALVINGS)[0]))
 
     def cdf(self, t: Any) -> Array:
         return np.asarray(1.0 - self.above(np.maximum(t, 0.0) / self.mean))
@@ -177,7 +155,7 @@ class _Drawn:
         return self.begun(np.maximum(t, 0.0) / self.mean)
 
     def rest(self, x: Array) -> Array:
-        return self.mean * self.still(x / self.mean)
+        return self.mean * (1.0 - self.begun(x / self.mean))
 
     def waiting(self, h: float, cells: int) -> Array:
         edges = h / self.mean * np.arange(cells + 1)
@@ -203,23 +181,12 @@ class GammaDelay(_Drawn, _Shaped, Law):
     def variance(self) -> float:
         return self.mean**2 / self.shape
 
-    def density(self, u: Array) -> Array:
-        k = self.shape
-        with np.errstate(divide="ignore", invalid="ignore"):
-            log = k * np.log(k) + (k - 1.0) * np.log(u) - k * u - special.gammaln(k)
-        return np.asarray(np.exp(log))
-
     def above(self, u: Array) -> Array:
         return np.asarray(special.gammaincc(self.shape, self.shape * u))
 
     def begun(self, u: Array) -> Array:
         k = self.shape
         return np.asarray(special.gammainc(k + 1.0, k * u) + u * self.above(u))
-
-    def still(self, u: Array) -> Array:
-        k = self.shape
-        left = special.gammaincc(k + 1.0, k * u) - u * self.above(u)
-        return np.maximum(left, 0.0)
 
     def exceeded(self, e: Array) -> Array:
         k = self.shape
@@ -246,22 +213,12 @@ class LognormalDelay(_Drawn, _Shaped, Law):
         with np.errstate(divide="ignore"):  # u = 0
             return np.asarray(np.log(u) / self.shape + 0.5 * self.shape)
 
-    def density(self, u: Array) -> Array:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            size = u * (self.shape * math.sqrt(2.0 * math.pi))
-            return np.asarray(np.exp(-0.5 * self._z(u) ** 2) / size)
-
     def above(self, u: Array) -> Array:
         return np.asarray(special.ndtr(-self._z(u)))
 
     def begun(self, u: Array) -> Array:
         z = self._z(u)
         return np.asarray(special.ndtr(z - self.shape) + u * special.ndtr(-z))
-
-    def still(self, u: Array) -> Array:
-        z = self._z(u)
-        left = special.ndtr(self.shape - z) - u * special.ndtr(-z)
-        return np.maximum(left, 0.0)
 
     def exceeded(self, e: Array) -> Array:
         low = special.ndtri(-np.expm1(-e))
@@ -308,7 +265,7 @@ class Delay:
 
     The mean at a temperature and a velocity is
 
-        tau = time exp(activation/kT) (v/velocity)^velocity_exponent
+        tau = time exp(activation/kT) (v/reference_velocity)^velocity_exponent
 
     (Arrhenius; the power is a definition). Laws of delays change transients, but no
     steady average.
@@ -328,7 +285,7 @@ class Delay:
         Barrier to the formation of a contact (energy). At kT = 0 none forms.
     velocity_exponent : float
         p of tau ~ v^p, from -10 to 10. Other than 0 only at one speed, without holds.
-    velocity : float
+    reference_velocity : float
         Velocity (length/time) at which tau is that without an exponent.
 
     Examples
@@ -345,7 +302,7 @@ class Delay:
     sigma: float | None = None
     activation: float = 0.0
     velocity_exponent: float = 0.0
-    velocity: float = 1.0
+    reference_velocity: float = 1.0
 
     def __post_init__(self) -> None:
         if self.time != math.inf:
@@ -353,7 +310,7 @@ class Delay:
         require_choice("law", self.law, tuple(DELAYS))
         require_number("activation", self.activation, **NOT_NEGATIVE)
         require_number("velocity_exponent", self.velocity_exponent, least=-10, most=10)
-        require_number("velocity", self.velocity, **POSITIVE)
+        require_number("reference_velocity", self.reference_velocity, **POSITIVE)
         for law, (name, least, most) in PARAMETERS.items():
             value = getattr(self, name)
             if law != self.law and value is not None:
@@ -376,7 +333,7 @@ class Delay:
             endless = self.activation > _MOST_ACTIVATION * kT
             time *= math.inf if endless else math.exp(self.activation / kT)
         if self.velocity_exponent and time < math.inf:
-            logs = math.log(velocity) - math.log(self.velocity)
+            logs = math.log(velocity) - math.log(self.reference_velocity)
             time *= math.exp(min(self.velocity_exponent * logs, _MOST_ACTIVATION))
         return Delay(time, self.law, self.shape, self.sigma)
 
@@ -412,15 +369,12 @@ class Waits(NamedTuple):
 
 class DrawnWaits(NamedTuple):
     """A law of delays with a density for kernels: its `mean`, all of which is `random`;
-    octave tables of the quantile functions of delays and of residual delays, over the
-    mean, in e = -ln(1 - P); and at `knots`, delays over the mean from 0 on, the shares
-    of residual delays that are shorter, and of delays that are longer; and the number
-    of the law in `DELAYS` with its parameter."""
+    an octave table of `exceeded`; `begun` and `above` at `knots`, delays over the mean
+    from 0 on; and the number of the law in `DELAYS` with its parameter."""
 
     mean: float
     random: float
     quantile: Array
-    residual: Array
     knots: Array
     begun: Array
     above: Array
@@ -438,14 +392,11 @@ class DrawnWaits(NamedTuple):
 def _tables(kind: Any, shape: float) -> tuple[Any, ...]:
     """The fields of `DrawnWaits` after `random`."""
     law, e = kind(1.0, shape), octave_edges(*_OCTAVES)
-    u, rest = law.exceeded(e), law.residual_exceeded(e)
-    with np.errstate(all="ignore"):
-        slopes = np.exp(-e) / law.density(u), law.still(rest) / law.above(rest)
-    pairs = zip((u, rest), slopes, strict=True)
-    tables = (octave_table(_OCTAVES[0], y, np.nan_to_num(slope)) for y, slope in pairs)
+    u = law.exceeded(e)
+    table = octave_table(_OCTAVES[0], u, u / e * np.gradient(np.log(u), np.log(e)))
     knots = np.unique(np.append(0.0, law.exceeded(np.exp(_LOG_RANKS))))
     at_knots = knots, law.begun(knots), law.above(knots)
-    return *tables, *at_knots, list(DELAYS.values()).index(kind), shape
+    return table, *at_knots, list(DELAYS.values()).index(kind), shape
 
 
 @by_law
@@ -481,5 +432,11 @@ def residual_delay_draw(law: Any, u: float) -> float:
 
 
 @residual_delay_draw.register(DrawnWaits)
-def _residual_from_table(law: DrawnWaits, u: float) -> float:
-    return law.mean * look_up(law.residual, -log(u))
+def _residual_from_knots(law: DrawnWaits, u: float) -> float:
+    y, knots, share = law.begun, law.knots, 1.0 - u
+    i = max(search(y, share, False), 1) - 1
+    rest = (share - y[i]) / (y[i + 1] - y[i])
+    x = knots[i] + rest * (knots[i + 1] - knots[i])
+    slope = law.above[i] + rest * (law.above[i + 1] - law.above[i])
+    # one step of Newton's method from a straight line between knots
+    return law.mean * max(x - (begun_at(law, x, i)[0] - share) / slope, 0.0)

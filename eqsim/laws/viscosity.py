@@ -10,7 +10,7 @@ from eqsim.errors import NOT_NEGATIVE, POSITIVE, require_number
 class Viscosity:
     """How the drag of a detached contact depends on the velocity,
 
-        f_l = force + eta v (v/velocity)^(exponent - 1),
+        f_l = force + eta v (v/reference_velocity)^(exponent - 1),
 
     with eta that of the ensemble (the published f_l = eta v, where eta may depend on
     the velocity, for example as v^4: then the exponent is 5). It acts against the
@@ -24,7 +24,7 @@ class Viscosity:
         Constant drag (force).
     exponent : float
         From 0 to 10.
-    velocity : float
+    reference_velocity : float
         Velocity (length/time) at which the second term is eta v whatever the exponent.
 
     Examples
@@ -35,14 +35,14 @@ class Viscosity:
 
     force: float = 0.0
     exponent: float = 1.0
-    velocity: float = 1.0
+    reference_velocity: float = 1.0
 
     def __post_init__(self) -> None:
         require_number("force", self.force, **NOT_NEGATIVE)
         require_number("exponent", self.exponent, least=0.0, most=10.0)
-        require_number("velocity", self.velocity, **POSITIVE)
+        require_number("reference_velocity", self.reference_velocity, **POSITIVE)
 
     def factor(self, v: float) -> float:
-        """(v/velocity)^(exponent - 1)."""
-        logs = math.log(v) - math.log(self.velocity)
+        """(v/reference_velocity)^(exponent - 1)."""
+        logs = math.log(v) - math.log(self.reference_velocity)
         return math.exp(min((self.exponent - 1.0) * logs, 700.0))  # no overflow

@@ -437,7 +437,7 @@ def solutions_of(
     coarse = best
     off = np.zeros_like(best)
     off[:, kept] = np.abs(np.array(best)[:, kept] - fewer)
-    discrete = has_jumps(ensemble.thresholds)
+    discrete = ensemble.thresholds.steps.size > 0
     if steps <= (_STEPS_OF_DISCRETE if discrete else _STEPS_OF_FEW_SLIPS):
         best, _ = solved(task._replace(halved=True), 4)
         off = np.abs(np.array(best) - coarse) + 0.5 * off

@@ -207,10 +207,12 @@ def _mixed(ensemble: Ensemble, drive: Drive, variance: bool) -> Reference:
     found: dict[str, Any] = mixed_averages(kinds, each, v, bounds=True)
     drag = drag_of(ensemble, v) * ensemble.thresholds.scale
     friction, pinned = known(found["friction"]), known(found["pinned"])
+    method = "; ".join(dict.fromkeys(one.method for one in each))
+    if not pinned:  # no contact forms again
+        return Reference(**found, f_k=Estimate(None, None, 0), method=method)
     f_k = (friction - drag * (1.0 - pinned)) / pinned
     error = found["friction"].stderr or 0.0
     error += abs(drag - f_k) * (found["pinned"].stderr or 0.0)
-    method = "; ".join(dict.fromkeys(one.method for one in each))
     return Reference(**found, f_k=Estimate(f_k, error / pinned, 0), method=method)
 
 

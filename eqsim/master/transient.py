@@ -112,7 +112,7 @@ def transient(
     [0.0, 0.8579, 0.8727, 0.8897]
     """
     require_integer("points", points, 2, 10**8)
-    pulled = isinstance(drive, Programme) and drive.stage
+    pulled = isinstance(drive, Programme) and drive.pulled
     if ensemble.populations and not pulled:
         way, kinds = over_distance(drive, ensemble), ensemble.kinds
         each = [transient(x.contacts, way, points, variance=variance) for x in kinds]

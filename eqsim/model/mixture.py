@@ -63,15 +63,15 @@ def mixed_averages(
     """Average over all contacts at a velocity. Errors are standard errors, with the
     degrees of freedom of Welch and Satterthwaite, or `bounds`, which add up."""
     share = np.array([kind.share for kind in kinds])
-    laws = [(kind.contacts.delay, kind.contacts.thresholds.scale) for kind in kinds]
-    waits = [delay.reduced(velocity, unit).mean * unit for delay, unit in laws]
+    waits = [velocity * kind.contacts.delay_time(velocity) for kind in kinds]
 
     def column(name: str, of: str = "value") -> Array:
         # None becomes NaN
         return np.array([getattr(getattr(each, name), of) for each in found], float)
 
     rate = 1.0 / (column("travel") + waits)
-    of_breaks = share * rate / float(share @ rate)
+    with np.errstate(invalid="ignore"):  # no breaks where none forms again
+        of_breaks = share * rate / np.sum(share * rate)
     factors = {"friction": "weight", "pinned": "share", "force_variance": "square"}
     mixed = {}
     for name in OBSERVABLES:

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow
 
 from eqsim.errors import InputError, require_integer, require_number, shown, under
-from eqsim.io.runfile import RunFile, at, keys, parameters, path_of
+from eqsim.io.runfile import RunFile, at, keys, naming, path_of
 from eqsim.io.schema import OPTIONAL
 from eqsim.io.storage import read_parquet
 from eqsim.laws.threshold import Table
@@ -52,6 +52,11 @@ class Plan:
                 same = ", ".join(f"{key} = {shown(value)}" for key, value in pairs)
                 both = f"points {first + 1} and {index + 1}"
                 raise InputError(f"sweep: {both} are the same ({same})")
+
+    @property
+    def changed(self) -> set[str]:
+        """The keys that are set at any point."""
+        return {key for axis in self.axes for row in axis for key in row}
 
     @property
     def swept(self) -> set[str]:
@@ -214,7 +219,7 @@ def identity(point: RunFile, ensemble: Ensemble) -> str:
     """Hexadecimal SHA-256 of the sorted parameters of a point, its seed and the results
     version. A table of thresholds enters with its values, not with the name of its
     file."""
-    values = parameters(point)
+    values = naming(point)
     seed = values.pop("output.seed")
     law = ensemble.thresholds
     if isinstance(law, Table):

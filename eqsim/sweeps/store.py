@@ -16,6 +16,7 @@ import json
 import os
 import shutil
 import time
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ import pyarrow as pa
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES
 from eqsim.io import storage
-from eqsim.io.runfile import RunFile, keys, parameters
+from eqsim.io.runfile import RunFile, keys, naming, parameters
 from eqsim.io.storage import SWEEP_HIDDEN, SWEEP_MANIFEST, SWEEP_PARTS, SWEEP_TABLE
 from eqsim.io.units import Quantity, quantities
 from eqsim.model.ensemble import Ensemble
@@ -47,8 +48,9 @@ _VERSION = "results version"
 _FLUSH_ROWS = 256
 
 
-def schema(file: RunFile) -> Any:
-    """The pyarrow schema of the dataset of a run file's sweep."""
+def schema(file: RunFile, changed: Collection[str] = ()) -> Any:
+    """The pyarrow schema of the dataset of a run file's sweep, in which keys are
+    `changed`."""
     number, integer, text = pa.float64(), pa.int64(), pa.string()
     others = {"dof": integer, "reliable": pa.bool_()}
     exact = ("reference", "reference_error", "z")
@@ -59,7 +61,9 @@ def schema(file: RunFile) -> Any:
         }
 
     types = {float: number, int: integer, str: text}
-    fields = {"id": text, **{key: types[kind] for key, kind in keys(file).items()}}
+    named = naming(file).keys() | changed
+    known = {key: types[kind] for key, kind in keys(file).items() if key in named}
+    fields = {"id": text, **known}
     fields |= {"kind": text, "status": text, "message": text}
     for name in OBSERVABLES:
         fields |= columns(name, "dof", "reliable", *exact)
@@ -130,7 +134,7 @@ class Store:
             origin = storage.provenance("sweep", settings, *where)
             origin |= {"schema": SCHEMA, "results_version": RESULTS_VERSION}
             metadata = {"eqsim": storage.to_json(origin)}
-            self.schema = schema(file).with_metadata(metadata)
+            self.schema = schema(file, plan.changed).with_metadata(metadata)
             self.rows: list[dict[str, Any]] = []
             self.tables: list[Any] = []
             self.damaged: list[str] = []
@@ -161,7 +165,7 @@ class Store:
     def _asked(self, asked: Asked) -> dict[str, str]:
         """All that the rows depend on, by name."""
         file = self.plan.file
-        values = {**parameters(file), **dataclasses.asdict(asked)}
+        values = {**naming(file), **dataclasses.asdict(asked)}
         for section in ("units", "interface"):
             pairs = file.settings[section].items()
             values |= {f"{section}.{key}": value for key, value in pairs if value}

@@ -178,6 +178,7 @@ def _table_row(score: Score) -> dict[str, Any]:
     row |= {name: getattr(aging, name) if name in takes else None for name in others}
     delay, newborn = ensemble.delay, ensemble.newborn
     row |= {"delay": delay.time, "delay_law": delay.law, "eta": ensemble.eta}
+    row |= {"delay_shape": delay.shape, "delay_sigma": delay.sigma}
     row |= {name: getattr(score, name) for name in ("velocity", "value", "reference")}
     row |= {"sigma": score.sigma, "z": score.z, "even": score.even}
     row |= {"contacts": score.count, "time": score.time}

@@ -453,3 +453,50 @@ def test_an_infinite_variance_of_one_kind():
     assert found.force_variance.diverges
     assert np.isfinite(found.friction.value)
     assert not MIX.divergence
+
+
+def test_bonds_that_never_form_again():
+    """A bundle beside contacts that re-attach: only these are pinned in the end."""
+    gone = Population(1.0, delay=Delay(np.inf))
+    stays = Population(1.0, 2.0, delay=Delay(1.0))
+    contacts = Ensemble(count=1000, populations=[gone, stays])
+    exact = reference(contacts, DRIVE)
+    alone = reference(Ensemble(stiffness=2.0, delay=Delay(1.0)), DRIVE)
+    for name, share in (("friction", 2 / 3), ("pinned", 0.5), ("travel", 1.0)):
+        expected = share * getattr(alone, name).value
+        found = getattr(exact, name).value
+        assert found == pytest.approx(expected, rel=1e-13, abs=0), name
+    none = reference(replace(contacts, populations=[gone, gone]), DRIVE)
+    assert none.pinned.value == none.friction.value == 0.0
+    assert none.travel.value is none.f_k.value is None
+    drive = Drive(0.3, 3.0)
+    found, mean = trajectory(contacts, drive, points=4), transient(contacts, drive, 4)
+    z = (found.force - mean.force)[1:] / found.force_stderr[1:]
+    assert np.max(np.abs(z)) < 4.5
+    with pytest.raises(InputError, match=r"^delay.time = inf"):
+        trajectory(contacts, replace(drive, start="stationary"))
+
+
+def test_delays_that_depend_on_temperature_and_velocity():
+    """Each kind's own temperature decides its share of the breaks."""
+    delay = Delay(0.1, activation=1.0, velocity_exponent=0.5)
+    kinds = [Population(1.0, thermal=Thermal(kT=kT)) for kT in (0.3, 1.0)]
+    contacts = Ensemble(delay=delay, populations=kinds)
+    found = reference(contacts, DRIVE)
+    each = [reference(kind.contacts, DRIVE) for kind in contacts.kinds]
+    rates = np.array([one.pinned.value / one.travel.value for one in each])
+    mean = rates @ [one.travel.value for one in each] / rates.sum()
+    assert found.travel.value == pytest.approx(mean, rel=1e-13, abs=0)
+
+
+def test_a_motor_drives_all_kinds_together():
+    """At the velocity where its own friction is that of the mixture; the mean field
+    along its way needs one kind."""
+    motor = Programme([Segment(1.0, distance=3.0)], stall_force=3.0)
+    found = reference(MIX, motor)
+    v = found.velocity.value
+    friction = reference(MIX, Drive(v)).friction.value
+    assert v == pytest.approx(1.0 - friction / 3.0, rel=1e-10, abs=0)
+    for drive in (motor, Programme([Segment(force=0.5, time=3.0)])):
+        with pytest.raises(InputError, match=r"^population: [^\n]*$"):
+            transient(MIX, drive, 3)

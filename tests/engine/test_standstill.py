@@ -33,7 +33,7 @@ from eqsim import (
 from eqsim.engine.contacts import contacts
 from eqsim.engine.trajectory import guarded
 from eqsim.laws.aging.base import Held, spend, spent
-from eqsim.laws.barrier.base import _averaged, back, hazard, mean_rate, onward, rate
+from eqsim.laws.barrier.base import averaged, back, hazard, mean_rate, onward, rate
 from eqsim.laws.barrier.soft import Soft
 from eqsim.laws.barrier.stiff import Stiff
 
@@ -75,7 +75,7 @@ def test_mean_rate_however_short(barrier):
     threshold, over 1 to 1e-30 of the stretch: 1e-8, and what a unit in the last place
     of stretch and threshold means. And of a law that has no closed forms. The
     difference of two stretches has no digit left (negative control)."""
-    average, average_of_any = compiled(mean_rate), compiled(_averaged)
+    average, average_of_any = compiled(mean_rate), compiled(averaged)
     rng, worst, lost = np.random.default_rng(1), [0.0, 0.0], 0
     for _ in range(150):
         b, xi = 10 ** rng.uniform(-3, 8), rng.uniform(0.3, 2.0)

@@ -413,7 +413,7 @@ def test_paths_and_links_exist():
         paths = re.findall(
             r"`((?:eqsim|analysis|tests|notebooks|runs)/[\w./-]*)`", text
         )
-        for path in {*links, *paths} - {"", "eqsim/laws/barrier/bell.py"}:
+        for path in {*links, *paths} - {"", "eqsim/laws/barrier/linear.py"}:
             assert (ROOT / path).exists() or path.startswith(
                 ("runs/out/", "analysis/out/")
             ), f"{name}: {path}"

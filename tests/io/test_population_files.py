@@ -240,3 +240,49 @@ def test_tables_of_thresholds(tmp_path):
 def test_the_run_file_of_the_documentation():
     file = load(RUNS / "populations.toml")
     assert len(file.ensemble.kinds) == 2
+
+
+def test_bonds_of_two_types(tmp_path):
+    """Catch-slip and Bell bonds without thresholds: a barrier of its own, too, stands
+    alone, and parts of it are keys. Along a programme and in a sweep."""
+    text = """
+[thermal]
+barrier = "bell"
+off_rate = 0.1
+force_scale = 2.0
+[thresholds]
+law = "none"
+[delay]
+time = 1.0
+[contacts]
+count = 2000
+[drive]
+velocity = 1.0
+[[population]]
+share = 1
+[population.thermal]
+barrier = "catch-slip"
+catch = { rate = 10.0, force = 1.0 }
+slip = { rate = 0.1, force = 4.0 }
+[[population]]
+share = 1
+stiffness = 3.0
+[sweep]
+population.0.thermal.slip.force = [4.0, 5.0]
+"""
+    file = check(tomllib.loads(text))
+    catch, bell = (kind.contacts for kind in file.ensemble.kinds)
+    assert (catch.thermal.slip.force, catch.thermal.off_rate) == (4.0, None)
+    assert (bell.thermal.off_rate, bell.thermal.slip) == (0.1, None)
+    assert keys(file)["population.0.thermal.slip.force"] is float
+    exact = reference(file.ensemble, file.drive)
+    # friction per bond of the rigid slider, by k of each
+    expected = 0.25 * 0.013712347186 + 0.75 * reference(bell, file.drive).friction.value
+    assert exact.friction.value == pytest.approx(expected, rel=1e-9, abs=0)
+    (tmp_path / "s.toml").write_text(text)
+    done = call("sweep", tmp_path / "s.toml", "--out", tmp_path / "out", "--quiet")
+    assert done.exit_code == 0, done.output
+    table = pd.read_parquet(tmp_path / "out")
+    assert (table["friction_z"].abs() < 4.5).all()
+    assert table["friction_reference"][0] == exact.friction.value
+    assert table["friction_reference"].is_unique

@@ -216,7 +216,7 @@ BAD = [
         'newborn.law = "delta": must be "unstressed" for contacts that age, or take aging.rule = "none"',
     ),
     ({"delay": {"time": -1.0}}, "delay.time = -1.0: must be a finite number >= 0"),
-    ({"delay": {"law": "gamma"}}, "delay.law = 'gamma': must be one of"),
+    ({"delay": {"law": "weird"}}, "delay.law = 'weird': must be one of"),
     ({"viscosity": {"eta": -2}}, "viscosity.eta = -2.0: must be a finite number >= 0"),
     (
         {"disorder": "frozen"},

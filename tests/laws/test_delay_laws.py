@@ -24,6 +24,7 @@ from eqsim import (
     Stage,
     Thermal,
     Weibull,
+    fit,
     fluctuations,
     reference,
     stability,
@@ -95,15 +96,15 @@ def test_laplace_transform(law, p):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_draws(law):
-    """A uniform is the share of longer delays: to 1e-6, the error of the steepest
-    table."""
+    """A uniform is the share of longer delays: to 1e-5, the error of the steepest
+    table, and to 1e-7 of the share that kernels interpolate."""
     draw, rest = compiled(delay.delay_draw), compiled(delay.residual_delay_draw)
     waits = law.for_kernels()
     assert waits.law == law
     drawn = np.array([draw(waits, u) for u in UNIFORMS])
-    np.testing.assert_allclose(drawn, scipy_law(law).isf(UNIFORMS), rtol=1e-6)
+    np.testing.assert_allclose(drawn, scipy_law(law).isf(UNIFORMS), rtol=1e-5)
     drawn = np.array([rest(waits, u) for u in UNIFORMS])
-    np.testing.assert_allclose(1 - law.residual_cdf(drawn), UNIFORMS, atol=1e-8)
+    assert np.abs(1 - law.residual_cdf(drawn) - UNIFORMS).max() < 1e-7
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -312,7 +313,7 @@ def test_activation():
 
 def test_velocity_exponent():
     """tau = time (v/v_0)^p; along a programme of one speed, and refused elsewhere."""
-    law = Delay(0.5, velocity_exponent=-1.5, velocity=2.0)
+    law = Delay(0.5, velocity_exponent=-1.5, reference_velocity=2.0)
     contacts, speed = replace(WARM, delay=law), 0.5
     plain = replace(WARM, delay=Delay(0.5 * 0.25**-1.5))
     back = (Segment(speed, distance=1.0), Segment(-speed, distance=1.0))
@@ -344,7 +345,7 @@ def test_velocity_exponent():
         ({"law": "lognormal", "sigma": 0.0}, "sigma = 0.0"),
         ({"activation": -1.0}, "activation = -1.0"),
         ({"velocity_exponent": 11.0}, "velocity_exponent = 11.0"),
-        ({"velocity": 0.0}, "velocity = 0.0"),
+        ({"reference_velocity": 0.0}, "reference_velocity = 0.0"),
         ({"law": "weibull"}, 'law = \'weibull\': must be one of "fixed"'),
     ],
 )  # fmt: skip
@@ -352,3 +353,46 @@ def test_bad_laws(arguments, message):
     with pytest.raises(InputError) as caught:
         Delay(**arguments)
     assert message in str(caught.value)
+
+
+def test_fits_of_steady_averages_refuse_what_has_no_effect(tmp_path):
+    """A shape has none; an activation is one more energy, known from friction at two
+    temperatures to the noise that there is none of."""
+    (tmp_path / "data.csv").write_text(
+        "drive.velocity,thermal.kT,friction,friction_stderr\n"
+        + "".join(
+            f"{v},{kT},{reference(contacts, Drive(v)).friction.value},1e-6\n"
+            for v in (0.1, 1.0)
+            for kT in (0.1, 0.2)
+            for contacts in [
+                Ensemble(
+                    thermal=Thermal(kT),
+                    delay=Delay(0.3, "gamma", shape=2.0, activation=0.15),
+                )
+            ]
+        ),
+        encoding="utf-8",
+    )
+    text = """
+        [thermal]
+        kT = 0.1
+        [delay]
+        time = 0.3
+        law = "gamma"
+        shape = 2.0
+        activation = 0.05
+        [drive]
+        velocity = 1.0
+        [fit]
+        data = "data.csv"
+        scale = 1.0
+        [fit.free]
+        "delay.{key}" = {{ bounds = [{low}, {high}] }}
+    """
+    path = tmp_path / "fit.toml"
+    path.write_text(text.format(key="shape", low=0.5, high=8.0), encoding="utf-8")
+    with pytest.raises(InputError, match=r"delay\.shape: has no effect"):
+        fit(path)
+    path.write_text(text.format(key="activation", low=0.02, high=0.6), encoding="utf-8")
+    (found,) = fit(path).values.values()
+    assert found == pytest.approx(0.15, rel=1e-4, abs=0)

@@ -29,7 +29,7 @@ LAWS = [
     (Viscosity(), 0.3, 0.3 * 0.7),
     (Viscosity(force=0.2), 0.0, 0.2),
     (Viscosity(exponent=5.0), 0.3, 0.3 * 0.7**5),
-    (Viscosity(0.1, exponent=0.0, velocity=2.0), 0.3, 0.1 + 0.3 * 2.0),
+    (Viscosity(0.1, exponent=0.0, reference_velocity=2.0), 0.3, 0.1 + 0.3 * 2.0),
 ]
 
 

@@ -34,7 +34,7 @@ from eqsim.cli.app import app
 from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError
-from eqsim.io.runfile import check, keys, load
+from eqsim.io.runfile import check, load, naming
 from eqsim.io.storage import publish, versions
 from eqsim.master.steady import reference
 from eqsim.model.drive import Drive
@@ -80,7 +80,7 @@ def test_rows_are_what_steady_and_reference_say(small):
     table = pd.read_parquet(small / "one")
     assert len(table) == 12
     assert list(table.columns) == schema(check({})).names
-    assert set(keys()) <= set(table.columns)
+    assert set(naming(check({}))) <= set(table.columns)
     plan = plan_of(GRID)
     assert list(table["id"]) == plan.ids  # in the order of the grid
     for index in (0, 7):
@@ -929,3 +929,15 @@ def test_quiet_and_progress(small):
         ],
     )
     assert result.exit_code == 2
+
+
+def test_newer_keys_name_no_point_that_leaves_them_out():
+    """Keys that came with a later version change no name, seed and table of a sweep
+    without them; where they are swept they are columns."""
+    assert (
+        plan_of(GRID).ids[0].startswith("4ed3f8be1b84c8b9")
+    )  # as version 0.1.0 has it
+    newer = plan_of(GRID + '"delay.activation" = [0.0, 0.1]')
+    assert newer.ids[0] == plan_of(GRID).ids[0] != newer.ids[1]
+    assert "delay.activation" in schema(newer.file, newer.changed).names
+    assert "delay.activation" not in schema(newer.file).names

@@ -391,12 +391,16 @@ def test_points_can_be_made_again():
             None if math.isnan(row[name][0]) else row[name][0]
             for name in ("beta", "cutoff_time")
         )
+        shapes = (
+            None if math.isnan(row[name][0]) else row[name][0]
+            for name in ("delay_shape", "delay_sigma")
+        )
         final = np.nan_to_num(row["x_star_final"][0], nan=1.0)
         aging = Aging(row["aging"][0], row["aging_rate"][0], final, beta, cutoff_time)
         again = Ensemble(
             ensemble.thresholds,
             Thermal(row["kT"][0], 1.0, row["barrier"][0]),
-            Delay(row["delay"][0], row["delay_law"][0]),
+            Delay(row["delay"][0], row["delay_law"][0], *shapes),
             aging,
             stiffness_law=row["stiffness_law"][0],
             disorder=row["disorder"][0],

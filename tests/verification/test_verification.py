@@ -194,6 +194,16 @@ def stiff(e):
     return e.thermal.barrier == "stiff"
 
 
+def barrier(name):
+    return lambda e: e.thermal.barrier == name and e.thermal.active
+
+
+def catch_off(e):
+    """The rate of the pathway that force closes."""
+    catch = e.thermal.catch._replace(rate=1.05 * e.thermal.catch.rate)
+    return dataclasses.replace(e, thermal=dataclasses.replace(e.thermal, catch=catch))
+
+
 def hot(e):
     return e.thermal.kT > 0
 
@@ -275,6 +285,23 @@ CONTROLS = [
         stiff,
     ),
     Control("stiff", "kT 2 % too high", part("thermal", kT=1.02), STEADY, stiff),
+    Control(
+        "cusp",
+        "stiff instead",
+        of_part("thermal", barrier="stiff"),
+        STEADY,
+        barrier("cusp"),
+    ),
+    Control(
+        "Bell",
+        "f_b 2 % too large",
+        part("thermal", force_scale=1.02),
+        STEADY,
+        barrier("bell"),
+    ),
+    Control(
+        "catch-slip", "k_c 5 % too large", catch_off, STEADY, barrier("catch-slip")
+    ),
     Control("delay", "2 % too long", part("delay", time=1.02), {"friction", "pinned"}),
     Control(
         "delay",

@@ -30,6 +30,10 @@ class ByForce(Barrier):
     by_force: ClassVar[bool] = True
 
     @classmethod
+    def width(cls, exponent: Any, y: Any, a: Any) -> Array:
+        return np.full(np.broadcast(exponent, y, a).shape, math.inf)
+
+    @classmethod
     def declared(
         cls, thermal: Any, stiffness: float, unit: float, velocity: float
     ) -> tuple[float, ...]:
