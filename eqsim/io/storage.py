@@ -110,7 +110,7 @@ def as_parquet(table: Any, checksums: bool = True) -> bytes:
 
 def read_parquet(content: bytes, checksums: bool = False) -> Any:
     """The pyarrow table of a Parquet file, whose checksums are looked at if asked for.
-    Raises OSError or pyarrow.ArrowException.
+    Raises OSError, pyarrow.ArrowException, or ValueError if two columns have one name.
 
     No thread is started: pyarrow does not end its own, and a process that ends while
     they start is aborted. So `to_pandas` must have `use_threads=False`, too."""
@@ -119,7 +119,10 @@ def read_parquet(content: bytes, checksums: bool = False) -> Any:
 
     reader = pyarrow.BufferReader(content)
     file = pq.ParquetFile(reader, page_checksum_verification=checksums)
-    return file.read(use_threads=False)
+    table = file.read(use_threads=False)
+    if len({*table.column_names}) < table.num_columns:
+        raise ValueError("two columns have the same name")
+    return table
 
 
 def from_parquet(content: bytes) -> Any:

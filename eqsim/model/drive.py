@@ -248,7 +248,7 @@ class Programme:
         Force s over N k (length), > 0, at which a motor stops that drives the slider,
         or the stage's end of the spring, where its load is F:
 
-            Y' = u (1 - |F|/s),
+            Y' = u (1 - abs(F)/s),
 
         with u the velocity of the segment. By default it never stops.
     rebinding : str
