@@ -10,14 +10,12 @@ import time
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from eqsim.engine.elastic import elastic_trajectory
 from eqsim.engine.records import SegmentRecord, SliderTrajectory, shown_by
 from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError, require_number
-from eqsim.estimate import Averages, Estimate, mean_of, z_score
+from eqsim.estimate import Averages, Estimate, z_score
 from eqsim.master.avalanche_sizes import missed_by_few, size_law
 from eqsim.master.steady import reference
 from eqsim.master.transient import transient
@@ -133,10 +131,7 @@ def _elastic(task: Task, drive: Drive, options: RowCells) -> RowCells:
 def _programme(task: Task, programme: Programme, options: RowCells) -> RowCells:
     run = trajectory(task.ensemble, programme, **options)
     if isinstance(run, SliderTrajectory):
-        row = _slip_columns(run)
-        if not programme.motor:
-            return row
-        return row | _filled("friction", _second_half(run))
+        return _slip_columns(run)
     doubt = "error bars of forces cannot be trusted"
     row = _status(run.lives, [] if run.force_reliable else [doubt])
     exact: tuple[SegmentRecord, ...] = ()
@@ -155,24 +150,13 @@ def _programme(task: Task, programme: Programme, options: RowCells) -> RowCells:
 
 
 def _slip_columns(run: SliderTrajectory) -> RowCells:
-    """Columns of the slips of a slider that a stage pulls; a sweep has its forces if a
-    motor does. Steady sliding, without slips, is no reason to distrust a row."""
+    """Columns of the slips of a slider that a stage pulls; a sweep has none of its
+    forces. Steady sliding, without slips, is no reason to distrust a row."""
     period, drop = run.period, run.drop
     few = not period.reliable and not period.n == drop.n == 0
     row = _status(run.lives, ["few slips"] if few else [])
     row |= {"slips": len(run.slips)}
     return row | _filled("period", period) | _filled("drop", drop)
-
-
-def _second_half(run: SliderTrajectory) -> Estimate:
-    """Mean friction over the second half of a run, whose error is the scatter of
-    replicas; none of a single one."""
-    late = run.t >= 0.5 * run.t[-1]
-    each = run.force[None] if run.force_replicas is None else run.force_replicas
-    means = np.trapezoid(each[:, late], run.t[late]) / np.ptp(run.t[late])
-    if means.size == 1:
-        return Estimate(float(means[0]), None, 1, reliable=False)
-    return mean_of(means, means.size, means.size - 1)
 
 
 def _of_segment(segment: SegmentRecord) -> dict[str, Estimate]:
