@@ -547,7 +547,7 @@ MISTAKES = [
       "        now.stiffness -= stiffness * each\n", "        now.stiffness -= 0.0\n",
       "test_no_reattachment.py::test_a_quasi_static_stage"),
     M("drag: no constant force", "model/reduced.py",
-      "drag += law.force / ensemble.stiffness / unit", "drag += 0.0",
+      "drag += law.force / ensemble.mean_stiffness / unit", "drag += 0.0",
       "test_viscosity.py::test_steady_friction"),
     # master
     M("master: drag of the pinned", "master/steady.py", "elastic + drag * detached",

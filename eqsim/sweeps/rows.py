@@ -15,7 +15,7 @@ from eqsim.engine.records import SegmentRecord, SliderTrajectory, shown_by
 from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError, require_number
-from eqsim.estimate import Averages, Estimate, z_score
+from eqsim.estimate import Averages, Estimate, mean_of, z_score
 from eqsim.master.avalanche_sizes import missed_by_few, size_law
 from eqsim.master.steady import reference
 from eqsim.master.transient import transient
@@ -131,6 +131,8 @@ def _elastic(task: Task, drive: Drive, options: RowCells) -> RowCells:
 def _programme(task: Task, programme: Programme, options: RowCells) -> RowCells:
     run = trajectory(task.ensemble, programme, **options)
     if isinstance(run, SliderTrajectory):
+        if programme.motor and run.force_replicas is not None:
+            return _motor_columns(run)
         return _slip_columns(run)
     doubt = "error bars of forces cannot be trusted"
     row = _status(run.lives, [] if run.force_reliable else [doubt])
@@ -147,6 +149,16 @@ def _programme(task: Task, programme: Programme, options: RowCells) -> RowCells:
         for name, ours in _of_segment(segment).items():
             row |= _filled(f"segment_{index}_{name}", ours, levels.get(name))
     return row
+
+
+def _motor_columns(run: SliderTrajectory) -> RowCells:
+    """Mean force of a motor over the second half of a run, with its error from the
+    scatter of replicas."""
+    assert run.force_replicas is not None
+    late = run.t > 0.5 * run.t[-1]
+    each = run.force_replicas[:, late].mean(axis=1)
+    force = mean_of(each, each.size, each.size - 1)
+    return _status(run.lives, []) | _filled("friction", force)
 
 
 def _slip_columns(run: SliderTrajectory) -> RowCells:

@@ -1,0 +1,95 @@
+"""Forces and motors in run files: pictures of bursts and avalanches, and sweeps."""
+
+import numpy as np
+import pandas as pd
+from command_line import call
+
+from eqsim import bursts, lifetime, load
+
+BUNDLE = """
+[contacts]
+count = 5000
+stiffness_law = "uniform"
+[thresholds]
+law = "weibull"
+shape = 2.0
+[delay]
+time = inf
+[drive]
+force_rate = 0.5
+time = 1.0
+[output]
+points = 21
+replicas = 2
+"""
+MOTOR = """
+[contacts]
+count = 10
+[thermal]
+kT = 0.2
+[thresholds]
+law = "delta"
+[delay]
+time = 1.0
+law = "exponential"
+[drive]
+velocity = 1.0
+stall_force = 2.0
+time = 20.0
+[drive.stage]
+stiffness = 0.1
+[output]
+points = 101
+replicas = 4
+[sweep]
+"drive.stage.stiffness" = [0.1, 10.0]
+"""
+
+
+def test_a_run_of_a_bundle_draws_its_bursts(tmp_path):
+    path = tmp_path / "bundle.toml"
+    path.write_text(BUNDLE)
+    done = call("run", path, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "out" / "avalanches.png").stat().st_size > 0
+    listed = pd.read_parquet(tmp_path / "out" / "avalanches.parquet")
+    assert listed["breaks"].sum() == 2 * 5000
+    exact = bursts(path)
+    assert exact.size.tolist() == [*range(1, 1001)]
+    single = np.sum(listed["breaks"] == 1) / 1e4
+    assert abs(single - exact.number[0]) < 4.5 * np.sqrt(exact.number[0] / 1e4)
+
+
+def test_a_run_behind_a_stage_draws_its_avalanches(tmp_path):
+    path = tmp_path / "stage.toml"
+    path.write_text(
+        "[contacts]\ncount = 200\n[drive]\nvelocity = 1.0\ndistance = 5.0\n"
+        "[drive.stage]\nstiffness = 0.5\n[output]\npoints = 11\n"
+    )
+    done = call("run", path, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "out" / "avalanches.png").exists()
+
+
+def test_a_sweep_of_motors_has_their_mean_force(tmp_path):
+    path = tmp_path / "motor.toml"
+    path.write_text(MOTOR)
+    done = call("sweep", path, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    table = pd.read_parquet(tmp_path / "out")
+    assert table["status"].tolist() == ["ok", "ok"]
+    assert (table["friction"] > 0.0).all()
+    assert (table["friction"] < 2.0).all()
+    assert (table["friction_stderr"] > 0.0).all()
+
+
+def test_the_lifetime_of_a_run_file(tmp_path):
+    path = tmp_path / "cluster.toml"
+    path.write_text(
+        "[contacts]\ncount = 10\n[thermal]\nkT = 0.2\n[thresholds]\nlaw = 'delta'\n"
+        "[delay]\ntime = inf\n[drive]\nforce = 0.3\ntime = 50.0\n[output]\npoints = 5\n"
+    )
+    file = load(path)
+    found = lifetime(path)
+    assert found.t.size == 5
+    assert repr(found) == repr(lifetime(file.ensemble, file.drive, points=5))
