@@ -84,6 +84,12 @@ class RunResult(SimulatedFile):
             return None
         return if_any(lambda: first_peak(self.ensemble, self.drive.velocity)).solution
 
+    @property
+    def _ends(self) -> bool:
+        """True if contacts never form again, so that nothing is steady."""
+        kinds = self.ensemble.kinds
+        return all(kind.contacts.delay.time == math.inf for kind in kinds)
+
     def _peaks(self) -> dict[str, Any]:
         """The static peak and the exact one for JSON; empty for a stationary start."""
         peak, exact, known = self.peak, self.exact_peak, None
@@ -124,11 +130,12 @@ class RunResult(SimulatedFile):
         return {"force": draw(self.trajectory, self.steady, exact, caption)}
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
-        """Averages and the peak beside their expected values."""
+        """Averages, if there is a steady state, and the peak beside their expected
+        values."""
         averages = self.trajectory.averages
         rows = self.file.rows(averages)
         yield "", "this run", "expected", *unit_column(rows), "z"
-        for name, row in rows:
+        for name, row in () if self._ends else rows:
             found, level = getattr(averages, name), getattr(self.steady, name)
             yield _beside_expected(row, found, level, scored=not found.diverges)
         if self.peak is None:
@@ -146,6 +153,11 @@ class RunResult(SimulatedFile):
         averages = self.trajectory.averages.averages().values()
         if self.ensemble.divergence:
             yield self.ensemble.divergence
+        if self._ends:
+            yield "contacts never form again: no steady averages; peak: the first maximum of the force"
+            yield from _doubt(self.trajectory)
+            yield from self.speed()
+            return
         if not all(one.reliable or one.diverges for one in averages):
             yield "unreliable: the steady state was not reached before the second half, or too few contacts broke in it"
         if self.peak:

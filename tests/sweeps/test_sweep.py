@@ -36,8 +36,9 @@ from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError
 from eqsim.io.runfile import check, load, naming
 from eqsim.io.storage import publish, versions
+from eqsim.laws.delay import Delay
 from eqsim.master.steady import reference
-from eqsim.model.drive import Drive
+from eqsim.model.drive import Drive, Programme, Segment, Stage
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps import rows as rows_module
@@ -941,3 +942,29 @@ def test_newer_keys_name_no_point_that_leaves_them_out():
     assert newer.ids[0] == plan_of(GRID).ids[0] != newer.ids[1]
     assert "delay.activation" in schema(newer.file, newer.changed).names
     assert "delay.activation" not in schema(newer.file).names
+
+
+MOVING = Segment(1.0, time=20.0)
+
+
+def test_a_motor_has_its_mean_friction_over_the_second_half():
+    contacts = Ensemble(delay=Delay(1.0), count=40, stiffness_law="uniform")
+    motor = Programme([MOVING], stage=Stage(0.1), stall_force=0.8)
+    task = rows_module.Task(7, contacts, motor, 201, 8)
+    [row] = rows_module.compute([task], Asked(), 1, RESULTS_VERSION)
+    run = trajectory(contacts, motor, points=201, seed=7, replicas=8)
+    each = run.force_replicas[:, run.t > 10.0].mean(axis=1)
+    assert row["status"] == "ok"
+    assert 0.0 < row["friction"] < 0.8
+    assert row["friction"] == pytest.approx(each.mean(), rel=1e-12, abs=0)
+    error = each.std(ddof=1) / math.sqrt(8)
+    assert row["friction_stderr"] == pytest.approx(error, rel=1e-9, abs=0)
+    assert row["friction_dof"] == 7
+
+
+def test_a_stage_without_a_motor_has_no_mean_friction():
+    pulled = Programme([MOVING], stage=Stage(0.1))
+    task = rows_module.Task(7, Ensemble(count=40), pulled, 201, 2)
+    [row] = rows_module.compute([task], Asked(), 1, RESULTS_VERSION)
+    assert "friction" not in row
+    assert "slips" in row
