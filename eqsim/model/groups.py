@@ -117,8 +117,13 @@ def _of_programme(ensemble: Ensemble, programme: Programme, v: float) -> Rows:
     paces = (leg.pace for leg in legs(ensemble, programme) if leg.sign)
     slowest = min(paces, default=v)
     yield "slowest/fastest", slowest / v, "velocities of the segments that move"
-    if programme.stage:
-        pull = pull_of(ensemble, programme)
+    pull = pull_of(ensemble, programme) if programme.pulled else None
+    if pull and programme.forced:
+        most = float(max(map(abs, pull.knots[1])))
+        yield "f/x_*", most, "largest force on the slider, over N k"
+    if pull and programme.motor:
+        yield "s/x_*", pull.stall, "stall force of the motor, over N k"
+    if pull and programme.stage:
         spring = "spring of the stage over that of all contacts, K/(N k)"
         yield "kappa_s", pull.stiffness, spring
         yield "eta_s v/x_*", pull.damping, "damping of the slider at that velocity"
