@@ -8,12 +8,9 @@ At a stretch x the break of a contact leaves its force to those that are left, o
 
 more break in the mean. Contacts of uniform stiffness have Q = P; with the sqrt law k_i
 is in proportion to xi (derived: all that break at x have the same stiffness, so that
-nothing else is different). A burst of s breaks follows with the probability of Borel's
-law, and begins at a break with the probability 1 - a:
-
-    D(s)/N = s^{s-1}/s! int_0^{x_c} a^{s-1} e^{-s a} (1 - a) p dx,    a(x_c) = 1.
-
-At x_c the force k x (1 - Q) has its maximum, and all that are left break at once.
+nothing else is different). A burst begins at a break with the probability 1 - a, and
+has s breaks by Borel's law. Where a = 1 the force k x (1 - Q) has its maximum, and all
+that are left break at once.
 """
 
 import math
@@ -82,8 +79,8 @@ def bursts(ensemble: Ensemble, sizes: ArrayLike) -> Bursts:
 
         D(s)/N = s^{s-1}/s! int_0^{x_c} a^{s-1} e^{-s a} (1 - a) p dx,
 
-    a = x p/(1 - P) for uniform stiffness; with the sqrt law p and P are those of a
-    stiffness-weighted threshold there (derived).
+    a = x p/(1 - P) for uniform stiffness, a(x_c) = 1; with the sqrt law thresholds are
+    weighted by the stiffness in a (derived).
 
     Parameters
     ----------
