@@ -93,3 +93,15 @@ def test_the_lifetime_of_a_run_file(tmp_path):
     found = lifetime(path)
     assert found.t.size == 5
     assert repr(found) == repr(lifetime(file.ensemble, file.drive, points=5))
+
+
+def test_a_run_of_contacts_that_never_form_again_has_a_peak_and_no_averages(tmp_path):
+    path = tmp_path / "bundle.toml"
+    drive = "[drive]\nvelocity = 1.0\ndistance = 3.0\n"
+    path.write_text(f"[contacts]\ncount = 1000\n[delay]\ntime = inf\n{drive}")
+    done = call("run", path, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert "contacts never form again" in done.output
+    assert "peak_force" in done.output
+    assert "break_stretch" not in done.output
+    assert "unreliable" not in done.output
