@@ -187,21 +187,24 @@ def _force(
 
 @styled
 def slider_figure(
-    run: "SliderTrajectory", exact: "Transient | None", caption: Caption
+    run: "SliderTrajectory",
+    exact: "Transient | None",
+    caption: Caption,
+    forced: bool = False,
 ) -> Figure:
     """Draw the force of the spring and friction against t, with slips marked; slider
     and stage against t; and the force of the spring against the velocity of the slider.
-    """
+    If the slider is `forced`, its force is in the place of that of the spring."""
     figure = Figure(figsize=(9, 8.8))
     force, displacement, phase = figure.subplots(3, 1, height_ratios=[1.2, 1.0, 1.2])
     error = 2 * run.force_stderr
+    pulls = "driving force" if forced else "force of the spring"
+    driven = pulls if forced else f"{pulls}; displacement of the stage"
     drawn: dict[str, Any] = {
         "friction of the contacts, ± 2 standard errors at the same X": draw_band(
             force, run.t, run.force, error
         ),
-        "force of the spring; displacement of the stage": force.plot(
-            run.t, run.spring, color="C3"
-        )[0],
+        driven: force.plot(run.t, run.spring, color="C3")[0],
     }
     if exact is not None:
         drawn["friction, mean field"] = force.plot(run.t, exact.force, **EXACT)[0]
@@ -210,7 +213,8 @@ def slider_figure(
     force.set(ylabel=caption.length("force / $(N k)$"))
     caption.beside(force)
     force.set_title(caption.heading)
-    displacement.plot(run.t, run.stage, color="C3")
+    if not forced:
+        displacement.plot(run.t, run.stage, color="C3")
     (slider,) = displacement.plot(run.t, run.X, color="C0", linestyle="--")
     drawn["displacement of the slider"] = slider
     displacement.set(ylabel=caption.length("displacement"))
@@ -220,10 +224,10 @@ def slider_figure(
     phase.plot(velocity, run.spring, color="C3", linewidth=0.7)
     speed = "velocity of the slider, between two records"
     phase.set_xlabel(caption.unit(speed, VELOCITY, unknown=True))
-    phase.set_ylabel(caption.length("force of the spring / $(N k)$"))
-    driven = np.abs(np.diff(run.stage) / np.diff(run.t)).max()
-    if np.abs(velocity).max() > _FAST * driven > 0:
-        phase.set_xscale("symlog", linthresh=driven)
+    phase.set_ylabel(caption.length(f"{pulls} / $(N k)$"))
+    fastest = 0.0 if forced else np.abs(np.diff(run.stage) / np.diff(run.t)).max()
+    if np.abs(velocity).max() > _FAST * fastest > 0:
+        phase.set_xscale("symlog", linthresh=fastest)
     legend_below(figure, drawn)
     return figure
 

@@ -21,22 +21,24 @@ from eqsim.engine.records import (
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
-from eqsim.estimate import Estimate, difference
+from eqsim.estimate import Estimate, difference, mean_of
 from eqsim.io import terminal
 from eqsim.io.runfile import RunFile, opened
 from eqsim.io.units import Row
 from eqsim.lazy import lazily
 from eqsim.master.avalanche_sizes import load_of, size_law
 from eqsim.master.bursts import bursts
+from eqsim.master.lifetimes import lifetime
 from eqsim.master.peak import Peak, first_peak
 from eqsim.master.steady import reference
+from eqsim.master.transient import Transient
 from eqsim.model.drive import Drive
 from eqsim.numerics.tables import Array
 from eqsim.sweeps.workers import Workers
 from eqsim.workflows.averages import unit_column
 from eqsim.workflows.elastic import ElasticResult, run_elastic
 from eqsim.workflows.peak import static_peak
-from eqsim.workflows.report import Progress, SimulatedFile, if_any
+from eqsim.workflows.report import Progress, SimulatedFile, Solved, if_any
 
 with lazily():
     from eqsim.plots import panels, runs
@@ -45,6 +47,7 @@ with lazily():
 _MOST_LINES = 40  # segments or slips that a table shows
 _LARGEST_SIZE = 1000  # size of avalanches up to which their law is drawn
 _MOST_NAMED = 8  # slips that a note names
+_FEW = 1000  # contacts under a force or a motor, to which a mean field says little
 _CUT = "the record {} during {}: drop, time and distance (>) are lower bounds"
 
 
@@ -276,13 +279,40 @@ class ProgrammeResult(SimulatedFile):
 
 @dataclass(frozen=True, repr=False)
 class SliderResult(ProgrammeResult):
-    """Simulation of a run file whose slider a stage pulls through a spring."""
+    """Simulation of a run file whose slider a stage, a force or a motor pulls."""
 
     trajectory: SliderTrajectory
+
+    @cached_property
+    def exact(self) -> Solved[Transient]:
+        """The mean field."""
+        count, spring = self.ensemble.count, self.drive.stage and not self.drive.motor
+        if count < _FEW and not spring:
+            said = (
+                f"a mean field is of many contacts, at least {_FEW}; these are {count}"
+            )
+            return Solved(None, said)
+        return super().exact
+
+    @property
+    def failures(self) -> dict[str, Estimate]:
+        """Mean lifetime of bundles that all let go under a force, and the mean force at
+        that time if it changes; else empty."""
+        run, drive = self.trajectory, self.drive
+        lives = run.lifetimes
+        if not (drive.forced and np.all(np.isfinite(lives))):
+            return {}
+        found = {"lifetime": lives}
+        if any(segment.force_rate for segment in drive.segments):
+            found["strength"] = np.interp(lives, run.t, run.spring)
+        if lives.size == 1:
+            return {k: Estimate(float(x[0]), None, 1) for k, x in found.items()}
+        return {k: mean_of(x, x.size, x.size - 1) for k, x in found.items()}
 
     def summary(self) -> dict[str, Any]:
         run = self.trajectory
         means = {name: getattr(run, name).as_dict() for name in ("period", "drop")}
+        means |= {name: found.as_dict() for name, found in self.failures.items()}
         slips = [asdict(slip) for slip in run.slips]
         return super().summary() | means | {"slips": slips}
 
@@ -297,7 +327,7 @@ class SliderResult(ProgrammeResult):
         level = float(np.abs(self.trajectory.spring).max())
         caption = panels.Caption.of(self.file, title, level)
         draw, run = runs.slider_figure, self.trajectory
-        figures = {"force": draw(run, self.exact.solution, caption)}
+        figures = {"force": draw(run, self.exact.solution, caption, self.drive.forced)}
         if run.avalanches is not None and run.avalanches["breaks"].size:
             sizes = self._sizes(run.avalanches["breaks"], run.avalanches["t"])
             figures["avalanches"] = runs.sizes_figure(*sizes, caption)
@@ -326,8 +356,20 @@ class SliderResult(ProgrammeResult):
         return breaks, per, np.empty(0) if known is None else known
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
-        """Each slip, and the mean period and drop, which leave out the first."""
-        run = self.trajectory
+        """Each slip, and the mean period and drop, which leave out the first; under a
+        force the lifetime and strength, and the exact lifetime of identical contacts."""
+        run, drive = self.trajectory, self.drive
+        if drive.forced:
+            known = if_any(lambda: lifetime(self.ensemble, drive, points=2)).solution
+            yield "", "this run", "expected", "z"
+            for name, found in self.failures.items():
+                exact, z = "", ""
+                if known and name == "lifetime":
+                    exact = f"{known.mean.value:.10g}"
+                    score = difference(found, known.mean)
+                    z = "none" if score is None else terminal.score(score)
+                yield name, found, exact, z
+            return
         yield "slip", "at t", "at X", "drop of the force", "takes", "over"
         for index, slip in enumerate(run.slips[:_MOST_LINES]):
             bound = "" if slip.begun and slip.ended else "> "
@@ -342,8 +384,12 @@ class SliderResult(ProgrammeResult):
 
     def doubts(self) -> Iterator[str]:
         """Notes on slips, those that the record cuts, and errors of the force."""
-        slips = self.trajectory.slips
-        yield f"{len(slips)} slips" if slips else "no slip in this run"
+        slips, lives = self.trajectory.slips, self.trajectory.lifetimes
+        if self.drive.forced:
+            gone = np.sum(np.isfinite(lives))
+            yield f"{gone} of {lives.size} replicas let go before the end"
+        else:
+            yield f"{len(slips)} slips" if slips else "no slip in this run"
         for verb, whole in (("begins", "begun"), ("ends", "ended")):
             cut = [str(i) for i, slip in enumerate(slips) if not getattr(slip, whole)]
             if cut:

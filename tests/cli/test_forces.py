@@ -1,5 +1,7 @@
 """Forces and motors in run files: pictures of bursts and avalanches, and sweeps."""
 
+import json
+
 import numpy as np
 import pandas as pd
 from command_line import call
@@ -21,6 +23,24 @@ time = 1.0
 [output]
 points = 21
 replicas = 2
+"""
+CLUSTER = """
+[contacts]
+count = 10
+[thresholds]
+law = "none"
+[thermal]
+barrier = "bell"
+off_rate = 1.0
+force_scale = 1.0
+[delay]
+time = inf
+[drive]
+force = 0.5
+time = 40.0
+[output]
+points = 21
+replicas = 4000
 """
 MOTOR = """
 [contacts]
@@ -105,3 +125,27 @@ def test_a_run_of_contacts_that_never_form_again_has_a_peak_and_no_averages(tmp_
     assert "peak_force" in done.output
     assert "break_stretch" not in done.output
     assert "unreliable" not in done.output
+
+
+def test_a_run_under_a_force_tells_when_it_lets_go(tmp_path):
+    """Lifetimes of clusters beside the exact one, the strength of a bundle, and no mean
+    field of a few bonds, which would take minutes."""
+    path = tmp_path / "cluster.toml"
+    path.write_text(CLUSTER)
+    done = call("run", path, "--json", "--out", tmp_path / "out")
+    found = json.loads(done.stdout)
+    exact = lifetime(path).mean.value
+    life = found["lifetime"]
+    assert abs(life["value"] - exact) < 4.5 * life["stderr"]
+    assert abs(life["value"] - 1.05 * exact) > 4.5 * life["stderr"]
+    shown = call("run", path, "--out", tmp_path / "out")
+    assert f"{exact:.10g}" in shown.stdout
+    assert "4000 of 4000 replicas let go" in shown.stdout
+    assert "these are 10" in shown.stdout
+    path.write_text(BUNDLE)
+    strength = call("run", path, "--json", "--out", tmp_path / "out").stdout
+    found = json.loads(strength)["strength"]
+    assert abs(found["value"] - 0.5 * json.loads(strength)["lifetime"]["value"]) < 1e-12
+    assert (
+        0.95 < found["value"] / bursts(path).strength < 1.05
+    )  # a weakest link, N = 5000
