@@ -185,6 +185,18 @@ def _force(
     return drawn
 
 
+def _draw_velocity(axes: "Axes", run: "SliderTrajectory", caption: Caption) -> None:
+    """Draw the force of the spring against the velocity of the slider."""
+    velocity = np.gradient(run.X, run.t)
+    axes.plot(velocity, run.spring, color="C3", linewidth=0.7)
+    speed = "velocity of the slider, between two records"
+    axes.set_xlabel(caption.unit(speed, VELOCITY, unknown=True))
+    axes.set_ylabel(caption.length("force of the spring / $(N k)$"))
+    driven = np.abs(np.diff(run.stage) / np.diff(run.t)).max()
+    if np.abs(velocity).max() > _FAST * driven > 0:
+        axes.set_xscale("symlog", linthresh=driven)
+
+
 @styled
 def slider_figure(
     run: "SliderTrajectory",
@@ -194,12 +206,15 @@ def slider_figure(
 ) -> Figure:
     """Draw the force of the spring and friction against t, with slips marked; slider
     and stage against t; and the force of the spring against the velocity of the slider.
-    If the slider is `forced`, its force is in the place of that of the spring."""
-    figure = Figure(figsize=(9, 8.8))
-    force, displacement, phase = figure.subplots(3, 1, height_ratios=[1.2, 1.0, 1.2])
+    If the slider is `forced`, the force that drives it and the slider against t."""
+    count = 2 if forced else 3
+    figure = Figure(figsize=(9, 6.0 if forced else 8.8))
+    panels = figure.subplots(count, 1, height_ratios=[1.2, 1.0, 1.2][:count])
+    force, displacement = panels[:2]
     error = 2 * run.force_stderr
-    pulls = "driving force" if forced else "force of the spring"
-    driven = pulls if forced else f"{pulls}; displacement of the stage"
+    driven = "force of the spring; displacement of the stage"
+    if forced:
+        driven = "driving force"
     drawn: dict[str, Any] = {
         "friction of the contacts, ± 2 standard errors at the same X": draw_band(
             force, run.t, run.force, error
@@ -220,14 +235,8 @@ def slider_figure(
     displacement.set(ylabel=caption.length("displacement"))
     for panel in (force, displacement):
         panel.set(xlabel=caption.along("time"), xlim=(run.t[0], run.t[-1]))
-    velocity = np.gradient(run.X, run.t)
-    phase.plot(velocity, run.spring, color="C3", linewidth=0.7)
-    speed = "velocity of the slider, between two records"
-    phase.set_xlabel(caption.unit(speed, VELOCITY, unknown=True))
-    phase.set_ylabel(caption.length(f"{pulls} / $(N k)$"))
-    fastest = 0.0 if forced else np.abs(np.diff(run.stage) / np.diff(run.t)).max()
-    if np.abs(velocity).max() > _FAST * fastest > 0:
-        phase.set_xscale("symlog", linthresh=fastest)
+    if not forced:
+        _draw_velocity(panels[2], run, caption)
     legend_below(figure, drawn)
     return figure
 
