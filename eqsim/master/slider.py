@@ -99,6 +99,8 @@ _LEAST_STEP = 1e-13
 _FIRST_OF_ALL = 1e-6
 # The shortest step over the longest displacement: as in the engine.
 _STEP_PER_WIDTH = 1e-9
+# Most steps in a row that take almost no time: as long ones never come again.
+_MOST_AT_ONCE = 2000
 # Time in which the slider moves at once, over the displacement: as in the engine.
 _TIME_AT_ONCE = 1e-12
 
@@ -263,8 +265,11 @@ def pull(
     shortest = max(_STEP_PER_WIDTH * path.width, _LEAST_STEP * whole)
     halvings = 0  # of the largest displacement in a step that takes no time
     usual = 0.0  # step before many contacts broke at once, to resume with
+    in_a_row = 0  # steps that take almost no time
     m, k = 1, 0  # edge and mark ahead
     while k < marks.size and m < t.size and path.stop[0] == 0:
+        if in_a_row > _MOST_AT_ONCE:
+            break
         force, pinned, V0 = history.force[m - 1], history.pinned[m - 1], velocity[m - 1]
         net = spring.stiffness * (Y[m - 1] - X[m - 1]) - force
         net += way.forces[k] + way.rates[k] * (t[m - 1] - marks[k])
@@ -355,6 +360,7 @@ def pull(
         if given and off > _WORSE * tolerance and not instant:
             return Slide(means, m, False, False)
         cohorts, count = after, kept
+        in_a_row = 0 if dt > shortest else in_a_row + 1
         if not given and m < choices.steps.size:
             decision = choices.steps[m]
             decision.t = t[m]
@@ -588,9 +594,8 @@ def solved(
             pull, contacts, path, task.spring, way, tolerance
         ).result()
     if not slide.complete:
-        raise TooManySteps(
-            f"drive: takes more than {most_steps} steps of the mean field"
-        )
+        said = f"or {_MOST_AT_ONCE} in a row that take no time, of the mean field"
+        raise TooManySteps(f"drive: takes more than {most_steps} steps, {said}")
     seen = np.append(0.0, marks)
     seen = seen[np.searchsorted(seen, task.t * (1.0 - 1e-12))]
     index = np.searchsorted(path.t[: slide.edges], seen)
