@@ -439,3 +439,17 @@ def test_bad_bonds(make, message):
         make()
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_annealed_bonds_born_at_fractions_of_high_thresholds():
+    """Rates that rise by exp(400) up to the highest thresholds are refused, where the
+    error used to be no number; gentle ones have a reference."""
+    fractions = Newborn("uniform", "threshold", low=0.004, high=0.99)
+    for force_scale, known in ((0.03, False), (10.0, True)):
+        heat = Thermal(barrier="bell", off_rate=3e-9, force_scale=force_scale)
+        pool = Ensemble(Gamma(0.0, 0.6), heat, disorder="annealed", newborn=fractions)
+        if known:
+            assert reference(pool, Drive(1.4e-4)).friction.stderr < 1e-3
+            continue
+        with pytest.raises(InputError, match="annealed bonds rise too far"):
+            reference(pool, Drive(1.4e-4))
