@@ -53,8 +53,8 @@ W_BEGINS = -40.0
 _W_ENDS = 6.0
 # Knots per unit of ln z.
 W_PER_UNIT = 64
-# Least difference of ln z over a cell or stratum; smaller ones are taken for it, which
-# misses 1e-5 of what is about to break.
+# Least difference of ln z over a cell or stratum: the table is not good enough for the
+# second difference over a smaller one.
 _LEAST_DIFFERENCE = 0.03
 # Deviation of the barrier from a straight line over a step, beyond which the step is
 # taken in halves; from half of it on both values are blended.
@@ -120,6 +120,19 @@ def _w(table: Array, y: float) -> float:
 
 
 @routine
+def _too_much(middle: float, difference: float, other: float) -> float:
+    """How much more is broken if a `difference` of ln z, spread evenly around `middle`,
+    is taken for the least one: to first order (least^2 - difference^2)/24 times the
+    mean of d^2(1 - exp(-z))/d(ln z)^2 over an `other` difference (derived)."""
+    excess = _LEAST_DIFFERENCE**2 - difference**2
+    if excess <= 0.0:
+        return 0.0
+    z0 = math.exp(min(middle - 0.5 * other, _W_ENDS))
+    z1 = math.exp(min(middle + 0.5 * other, _W_ENDS))
+    return excess / 24.0 * (z1 * math.exp(-z1) - z0 * math.exp(-z0)) / other
+
+
+@routine
 def _broken(table: Array, middle: float, by_threshold: float, by_birth: float) -> float:
     """Mean of 1 - exp(-z) over a cell and a stratum: ln z = `middle` in the middle, and
     differs by `by_threshold` across the stratum, by `by_birth` across the cell."""
@@ -128,7 +141,9 @@ def _broken(table: Array, middle: float, by_threshold: float, by_birth: float) -
     outer, inner = 0.5 * (p + q), 0.5 * (p - q)
     above = _w(table, middle + outer) - _w(table, middle + inner)
     below = _w(table, middle - inner) - _w(table, middle - outer)
-    return min(max((above - below) / (p * q), 0.0), 1.0)
+    broken = (above - below) / (p * q)
+    broken -= _too_much(middle, by_threshold, q) + _too_much(middle, by_birth, p)
+    return min(max(broken, 0.0), 1.0)
 
 
 @routine

@@ -28,6 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from eqsim.errors import InputError
 from eqsim.laws.newborn import (
     BirthLaw,
     DeltaBirths,
@@ -84,6 +85,10 @@ _THRESHOLDS_AT_ONCE = 300
 _ROUNDED_SWEEP = 1e-11
 # Share of the work's parts that its error is measured by where they cancel.
 _CANCELLED = 1e-2
+
+# Hazard up to the highest threshold that the pooled rate of bonds may have: it is
+# resolved to 2e-15 of that, and lives, whose hazard is 1, need 1e-9.
+_MOST_POOLED = 5e5
 
 # -ln J_c where panels of the stretches of annealed contacts end.
 _ENDS = np.array([1e-4, 0.02, 0.3, 1.0, 2.5, 6.0, 15.0, 40.0, 120.0, 300.0, 550.0])
@@ -244,6 +249,12 @@ def _hazard_of_pool(contacts: Reduced) -> Hazard:
     even = np.linspace(0.0, pooled.edges[-1], 2000)
     grid = np.unique(np.concatenate((pooled.edges, even)))
     passed = pooled.integral(grid)
+    if contacts.barrier.by_force and not passed[-1] < _MOST_POOLED:
+        raise InputError(
+            f'newborn.of = "threshold": off-rates of annealed bonds rise too far up to '
+            f"the highest thresholds for a reference (hazard {passed[-1]:.0e}, at most "
+            f"{_MOST_POOLED:.0e})"
+        )
 
     def levels(xi: Array, kappa: Array, shift: float) -> Array:
         at = np.exp(_spent_levels(max(math.log(passed[-1] + 1e-300), 5.0)) + shift)

@@ -30,8 +30,7 @@ def test_second_integral(y):
 )
 def test_share_that_is_broken(middle, by_threshold, by_birth):
     """By 2000 x 500 midpoints, .075 and .08 apart at most, which miss (.075^2 +
-    .08^2)/24 times a curvature that averages out but at the corners, 1e-4; and what
-    small differences are taken for, .03^2/24, 4e-5."""
+    .08^2)/24 times a curvature that averages out but at the corners, 1e-4."""
     u, v = ((np.arange(count) + 0.5) / count - 0.5 for count in (2000, 500))
     y = middle + by_threshold * u[:, None] + by_birth * v
     exact = -np.expm1(-np.exp(np.minimum(y, 50.0))).mean()
@@ -39,3 +38,19 @@ def test_share_that_is_broken(middle, by_threshold, by_birth):
         fronts.table_of_w(), middle, by_threshold, by_birth
     )
     assert found == pytest.approx(exact, rel=1.4e-4, abs=1e-9)
+
+
+@pytest.mark.parametrize("middle", [-5.0, -1.0, -0.36, 1.0, 2.5])
+@pytest.mark.parametrize(
+    "differences", [(0.0, 0.0), (0.02, 0.0), (0.0, 1.5), (4.0, 0.0)]
+)
+def test_share_of_small_differences(middle, differences):
+    """Differences of ln z for which the table is too coarse, by 20 Gauss-Legendre nodes
+    each way. Allowed are twice the table's h^4 W/384 = 2.4e-10 max|W|, 0.6, at
+    each of four corners over the product of the differences, at least 0.03 each; the
+    least difference for none misses 2e-5."""
+    nodes, weights = (part / 2 for part in np.polynomial.legendre.leggauss(20))
+    y = middle + differences[0] * nodes[:, None] + differences[1] * nodes
+    exact = weights @ -np.expm1(-np.exp(y)) @ weights
+    found = compiled(fronts._broken)(fronts.table_of_w(), middle, *differences)
+    assert found == pytest.approx(exact, rel=0, abs=1e-6)
