@@ -386,6 +386,9 @@ MISTAKES = [
     # births
     M("newborn: thresholds that do not know that they hold", "laws/newborn.py", "look_up(thresholds.table, e - log(u))",
       "look_up(thresholds.table, -log(u))", "test_newborn.py::test_births"),
+    M("programme: small differences of ln z not told apart", "master/fronts.py",
+      "    if excess <= 0.0:", "    if excess <= 1.0:",
+      "test_fronts.py::test_share_of_small_differences"),
     M("newborn: sign of a fraction", "laws/newborn.py", "return xi, xi * y", "return xi, xi * abs(y)",
       "test_newborn.py::test_fractions_and_steps"),
     M("barrier: births against the motion safe", "laws/barrier/base.py",
