@@ -26,6 +26,11 @@ class NoThresholds(Discrete):
         result depends; by default a force that changes the rate of the bond by e, over
         its stiffness. Raises InputError unless > 0.
 
+    Attributes
+    ----------
+    scale : float
+        The stretch in use (length).
+
     Examples
     --------
     >>> NoThresholds(x_star=2.0).mean

@@ -99,7 +99,8 @@ _LEAST_STEP = 1e-13
 _FIRST_OF_ALL = 1e-6
 # The shortest step over the longest displacement: as in the engine.
 _STEP_PER_WIDTH = 1e-9
-# Most steps in a row that take almost no time: as long ones never come again.
+# Most steps in a row that take almost no time while heat breaks contacts: longer ones
+# do not come again.
 _MOST_AT_ONCE = 2000
 # Time in which the slider moves at once, over the displacement: as in the engine.
 _TIME_AT_ONCE = 1e-12
@@ -268,7 +269,7 @@ def pull(
     in_a_row = 0  # steps that take almost no time
     m, k = 1, 0  # edge and mark ahead
     while k < marks.size and m < t.size and path.stop[0] == 0:
-        if in_a_row > _MOST_AT_ONCE:
+        if spring.heat and in_a_row > _MOST_AT_ONCE:
             break
         force, pinned, V0 = history.force[m - 1], history.pinned[m - 1], velocity[m - 1]
         net = spring.stiffness * (Y[m - 1] - X[m - 1]) - force

@@ -377,6 +377,7 @@ def test_run_files_know_every_law(tmp_path):
     assert list(THRESHOLDS) == [
         "gamma",
         "delta",
+        "none",
         "lognormal",
         "weibull",
         "exponential",
@@ -432,7 +433,7 @@ def test_run_files_know_every_law(tmp_path):
         ),
         (
             {"law": "log-normal"},
-            'thresholds.law = \'log-normal\': must be "gamma", "delta", "lognormal"',
+            'thresholds.law = \'log-normal\': must be "gamma", "delta", "none", "lognormal"',
         ),
         (
             {"law": "lognormal", "sgima": 0.5},
