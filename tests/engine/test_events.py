@@ -108,7 +108,8 @@ def test_mean_life_of_bonds(contacts, force, again, exact):
 def test_contacts_that_form_again_share_the_force():
     """Unstretched ones bear nothing at first, and the cluster is lost sooner."""
     again = replace(CLUSTER, delay=Delay(1.0, "exponential"))
-    exact = lifetime(again, under(5.3, 10), points=2).mean.value
+    shared = replace(under(5.3, 10), rebinding="shared")
+    exact = lifetime(again, shared, points=2).mean.value
     assert abs(life_score(again, 5.3, 20_000, exact, rebinding="shared")) < 4.5
     assert life_score(again, 5.3, 20_000, exact) < -50.0
 
