@@ -17,8 +17,22 @@ from eqsim.laws.barrier import BARRIERS
 
 
 class Pathway(NamedTuple):
-    """Way in which a catch-slip bond opens: its rate at zero force (1/time) and the
-    force that changes this by e, infinite if none does."""
+    """Way in which a catch-slip bond opens.
+
+    `Thermal` raises InputError unless both are > 0.
+
+    Attributes
+    ----------
+    rate : float
+        At zero force (1/time).
+    force : float
+        Force that changes the rate by e (force), infinite if none does.
+
+    Examples
+    --------
+    >>> Pathway(rate=10.0, force=1.0)
+    Pathway(rate=10.0, force=1.0)
+    """
 
     rate: float
     force: float
