@@ -30,7 +30,9 @@ from eqsim import (
 )
 from eqsim.cli.app import app
 from eqsim.estimate import OBSERVABLES
+from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.newborn import Newborn
+from eqsim.laws.no_thresholds import NoThresholds
 from eqsim.master import avalanche_sizes
 from eqsim.master.transient import transient
 from eqsim.validation import (
@@ -287,11 +289,11 @@ def test_sample(monkeypatch):
     ]
     assert [index for index, _, _ in drawn] == list(range(len(drawn)))
     assert len(aging) == len(drawn) // 3
-    for name in ("disorder", "stiffness_law"):
-        assert (
-            len({(getattr(e, name), e.aging.rule, e.thermal.barrier) for e in aging})
-            == 8
-        )
+    every = {(e.aging.rule, e.thermal.barrier) for e in aging}
+    assert len(every) == 2 * len(BARRIERS)
+    for name in ("disorder", "stiffness_law"):  # cold points have the soft barrier
+        met = {(getattr(e, name), e.thermal.barrier) for e in aging}
+        assert len(met) >= 2 * len(BARRIERS) - 1
     assert {e.thermal.kT > 0 for e in aging} == {True, False}
     assert {e.aging.rate == math.inf for e in aging} == {True, False}
     others = sum(e.disorder == "quenched" and not e.aging.active for e in ensembles)
@@ -377,6 +379,7 @@ def test_points_can_be_made_again():
         "Delta": Delta,
         "Lognormal": Lognormal,
         "Distribution": Distribution,
+        "NoThresholds": NoThresholds,
     }
     names["stats"] = stats
     for _, ensemble, v, text in once:
