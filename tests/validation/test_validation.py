@@ -22,6 +22,7 @@ from eqsim import (
     Gamma,
     InputError,
     Lognormal,
+    Pathway,
     Table,
     Thermal,
     reference,
@@ -300,7 +301,8 @@ def test_sample(monkeypatch):
     assert abs(len(growing) / (len(growing) + others) - 1 / 3) < 5 * math.sqrt(
         2 / 9 / (len(growing) + others)
     )
-    assert len({(e.stiffness_law, e.thermal.barrier) for e in growing}) == 4
+    every = {(e.stiffness_law, e.thermal.barrier) for e in growing}
+    assert len(every) == 2 * len(BARRIERS)
     assert len({type(e.thresholds) for e in growing}) >= 3
     share = np.mean([e.disorder == "quenched" for e in aging])
     assert abs(share - 0.5) < 5 * math.sqrt(0.25 / len(aging))
@@ -358,6 +360,23 @@ def test_delays_are_in_units_of_a_life():
     assert np.quantile(off, 0.75) < math.log(4.0)
 
 
+def heat_of(row):
+    """The heat of a row of scores."""
+
+    def pathway(name):
+        rate = row[f"{name}_rate"][0]
+        return None if math.isnan(rate) else Pathway(rate, row[f"{name}_force"][0])
+
+    bond = {
+        name: row[name][0]
+        for name in ("off_rate", "force_scale")
+        if not math.isnan(row[name][0])
+    }
+    ways = {name: pathway(name) for name in ("catch", "slip")}
+    kT, barrier = row["kT"][0], row["barrier"][0]
+    return Thermal(kT, 1.0, barrier, **bond, **ways)
+
+
 def test_points_can_be_made_again():
     """The same seed gives the same points, in parts or together, and a row of scores
     tells all there is to know."""
@@ -402,7 +421,7 @@ def test_points_can_be_made_again():
         aging = Aging(row["aging"][0], row["aging_rate"][0], final, beta, cutoff_time)
         again = Ensemble(
             ensemble.thresholds,
-            Thermal(row["kT"][0], 1.0, row["barrier"][0]),
+            heat_of(row),
             Delay(row["delay"][0], row["delay_law"][0], *shapes),
             aging,
             stiffness_law=row["stiffness_law"][0],
