@@ -114,7 +114,7 @@ class Bonds(NamedTuple):
 
 
 class Driving(NamedTuple):
-    """What pulls the slider (`model.reduced.Pull`), with arrays (segments,), and the
+    """Pull on the slider (`model.reduced.Pull`), with arrays (segments,), and the
     instants that are recorded, (points,)."""
 
     stiffness: float

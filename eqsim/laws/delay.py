@@ -226,7 +226,7 @@ class LognormalDelay(_Drawn, _Shaped, Law):
         return np.asarray(np.exp(self.shape * (z - 0.5 * self.shape)))
 
     def forgotten(self, p: Array) -> Array:
-        """By the trapezoidal rule, along a line of complex ln(delay) through the saddle
+        """Transform by the trapezoidal rule, along a line of complex ln(delay) through the saddle
         point, which is Lambert's function W (Asmussen, Jensen and Rojas-Nandayapa,
         Methodol. Comput. Appl. Probab. 18, 441, 2016); near p = 0 along the real
         line."""

@@ -546,7 +546,7 @@ def task_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> PulledTask:
 
 
 def _way(task: PulledTask, marks: Array) -> Way:
-    """What pulls the slider up to each of the marks, shape (marks,)."""
+    """Pull on the slider up to each of the marks, shape (marks,)."""
     ends, speeds = task.numerics.course.ends, task.numerics.course.velocity
     nothing = np.zeros(ends.size)
     forces, rates, dampings, pull = nothing, nothing, nothing, task.pull

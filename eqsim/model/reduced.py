@@ -218,7 +218,7 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
 
 
 class Pull(NamedTuple):
-    """What pulls a slider, in dimensionless numbers: time is displacement at `pace`
+    """Pull on a slider, in dimensionless numbers: time is displacement at `pace`
     (length/time). It obeys
 
         m X'' + c X' = kappa (Y - X) + f(t) - F
@@ -288,7 +288,7 @@ class Pull(NamedTuple):
 
 
 def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
-    """What pulls the slider of a programme. Raises InputError if nothing does, or a
+    """Find the pull on the slider of a programme. Raises InputError if nothing does, or a
     number is out of range."""
     stage, unit = programme.stage, ensemble.thresholds.scale
     if not programme.pulled:
