@@ -392,7 +392,9 @@ class PooledPolynomials:
             total = (ClenshawCurtis.weights @ panels.values * width).cumsum()
             # what counts is how well hazards are known, of all before it and of a life
             seen = np.minimum(_RESOLVED_IN_X * np.maximum(total, 1.0), 1e-9)
-            rough = rough > np.maximum(seen, _RESOLVED_IN_X * total[-1] * 1e-3)
+            # off-rates rise without bound beyond the stretches that bonds live to see
+            most = total if contacts.barrier.by_force else total[-1] * 1e-3
+            rough = rough > np.maximum(seen, _RESOLVED_IN_X * most)
             return rough & (width > 1e-13 * panels.right), None
 
         p, _ = refined(evaluate, judge, edges, pieces=_SPLIT_IN_X, most=_MOST_IN_X)

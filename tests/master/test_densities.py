@@ -87,6 +87,28 @@ def test_closed_forms(kT):
     assert state.H(0.0) == pytest.approx(float(form.H(0.0, v)), rel=1e-8, abs=0)
 
 
+@pytest.mark.parametrize("force_scale", [1.0, 0.1, 0.01])
+def test_off_rates_that_rise_by_two_hundred_decades(force_scale):
+    """Bell bonds as stiff as each other are tried at k0 e^(x/x_b), and break if they
+    draw a threshold above x: dU is the integral of k0/v e^(x/x_b) J_c, to the
+    documented 1e-8, whatever rates the highest thresholds would allow."""
+    bell = Thermal(barrier="bell", off_rate=1e-6, force_scale=force_scale)
+    ensemble = Ensemble(Gamma(2.0), bell, **ANNEALED, **UNIFORM)
+    law, v, x = ensemble.thresholds, 1e-4, np.geomspace(1e-6, 0.3, 30)
+    dU = [
+        integrate.quad(
+            lambda y: 1e-6 / v * math.exp(y / force_scale) * law.sf(y),
+            *(0.0, top),
+            epsabs=0,
+            epsrel=1e-10,
+            limit=200,
+        )[0]
+        for top in x
+    ]
+    state = StationaryState(ensemble, Drive(v))
+    np.testing.assert_allclose(state.dU(x), dU, rtol=1e-8)
+
+
 @chosen(("ensemble", "v"), SMOOTH, [*SMOOTH[:3], SMOOTH[4]])
 def test_normalised(ensemble, v):
     """int Q dx = 1 and, for uniform stiffness, int x Q dx = f_k, to 1e-8: the rule in
