@@ -41,7 +41,15 @@ from eqsim.laws.newborn import LAWS, Newborn
 from eqsim.laws.thermal import Pathway, Thermal
 from eqsim.laws.threshold import Table, ThresholdLaw
 from eqsim.laws.viscosity import Viscosity
-from eqsim.model.drive import Drive, Output, Programme, Segment, Stage, require_drive
+from eqsim.model.drive import (
+    Drive,
+    Output,
+    Programme,
+    Segment,
+    Stage,
+    default_distance,
+    require_drive,
+)
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Disorder, Ensemble, Population
 from eqsim.results import Listed
@@ -298,7 +306,7 @@ class RunFile(Listed):
             elif alone:
                 distance, time = given["distance"], given["time"]
                 if distance is None and time is None and not pulls:
-                    distance = 200.0 * self.ensemble.thresholds.mean
+                    distance = default_distance(self.ensemble)
                 segments = [Segment(given["velocity"] or 0.0, distance, time, **pulls)]
             for index, section in enumerate(programme or []):
                 with under(f"programme.{index}"):

@@ -69,10 +69,12 @@ class Drive:
 
     def over(self, ensemble: Ensemble) -> float:
         """The distance, with its default filled in."""
-        if self.distance is None:
-            kinds = ensemble.kinds
-            return 200.0 * max(kind.contacts.thresholds.mean for kind in kinds)
-        return self.distance
+        return default_distance(ensemble) if self.distance is None else self.distance
+
+
+def default_distance(ensemble: Ensemble) -> float:
+    """200 mean newborn thresholds, of populations the largest."""
+    return 200.0 * max(kind.contacts.thresholds.mean for kind in ensemble.kinds)
 
 
 def over_distance(drive: Any, ensemble: Ensemble) -> Any:

@@ -65,6 +65,18 @@ def file_of(text=TEXT, **changes):
     return check(tomllib.loads(text))
 
 
+def test_default_distance_is_that_of_the_strongest_population():
+    """Rigid or pulled by a spring, 200 mean newborn thresholds of the second one."""
+    rigid = file_of()
+    pulled = file_of(
+        TEXT.replace("velocity = 0.1", "velocity = 0.1\nstage = { stiffness = 0.5 }")
+    )
+    mean = rigid.ensemble.kinds[1].contacts.thresholds.mean
+    assert mean > 2.0 * rigid.ensemble.thresholds.mean
+    assert rigid.drive.over(rigid.ensemble) == 200.0 * mean
+    assert pulled.drive.segments[0].distance == 200.0 * mean
+
+
 def test_a_population_takes_what_it_does_not_give():
     first, second = (kind.contacts for kind in file_of().ensemble.kinds)
     assert (first.count, first.stiffness) == (8, 2.0)
