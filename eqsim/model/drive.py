@@ -356,13 +356,15 @@ def require_drive(drive: Drive | Programme) -> Drive:
     """A constant drive; InputError for what is none, such as a bare velocity or a
     programme."""
     if isinstance(drive, Programme):
-        moving = "drive.programme:"
+        what = "drive.programme: has no steady state"
         if drive.pulled:
-            moving = "drive.stage: a slider that a spring pulls"
-            moving = "drive.stall_force: a motor" if drive.motor else moving
-            moving = "drive.force: a slider under a force" if drive.forced else moving
+            what = "drive.stage: a slider that a spring pulls has no steady state"
+        if drive.motor:
+            what = "drive.stall_force: `reference` finds the velocity of a motor"
+        if drive.forced:
+            what = "drive.force: a slider under a force has no steady state"
         needs = "this needs a constant drive.velocity of the slider itself"
-        raise InputError(f"{moving} has no steady state; {needs}")
+        raise InputError(f"{what}; {needs}")
     if not isinstance(drive, Drive):
         said = "must be a Drive, for example Drive(velocity=0.1)"
         raise InputError(f"drive = {shown(drive)}: {said}")
