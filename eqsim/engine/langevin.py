@@ -43,7 +43,7 @@ from eqsim.engine.deviates import (
     try_chi_square,
 )
 from eqsim.laws.aging import Langevin
-from eqsim.laws.barrier.base import height, height_slope, path_step, prefactor, thermal
+from eqsim.laws.barrier.base import height, path_step, prefactor, slopes, thermal
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.numerics.compiled import routine
 from eqsim.numerics.streams import Key, midpoints
@@ -193,13 +193,13 @@ def pace(
     k0 = kappa(c.springs, xi)
     a = c.barrier.b * k0
     barrier, rate = height(c.barrier, xi, x, a), heat(c, xi, x)
-    slope = height_slope(c.barrier, xi, x, a) + barrier * c.springs.slope / k0
+    slope, most_slope = slopes(c.barrier, xi, x, k0, c.springs.slope)
     while_here = gap if c.moves > 0.0 else max(gap, most)
     # -ln of the hazard over a travel as long as the gap
     quiet = max(barrier - c.barrier.log_w - log(while_here), 0.0)
     slight = step * (1.0 + 0.5 * quiet)
-    far = reaches(max(quiet - _MOST_QUIET, 0.0) / slope, sigma / step, speed)
-    least = reaches(3.0 * step * (1.0 + 0.5 * quiet) / slope, sigma, speed)
+    far = reaches(max(quiet - _MOST_QUIET, 0.0) / most_slope, sigma / step, speed)
+    least = reaches(3.0 * step * (1.0 + 0.5 * quiet) / most_slope, sigma, speed)
     least = min(least, slight / alpha)
     h = min(h, max(far, least))
     # steps long beyond the end of the clock would place a break inaccurately

@@ -15,6 +15,7 @@ from cases import chosen
 from kernels import compiled
 
 from eqsim import (
+    Aging,
     Delay,
     Delta,
     Drive,
@@ -239,6 +240,33 @@ def test_steady_engine_against_reference(name, law, births, disorder):
         theirs = getattr(exact, one)
         score = z_score(getattr(found, one), theirs.value, theirs.stderr or 0.0)
         assert abs(score) < 4.5
+
+
+FLUCTUATING = [
+    (heat, law, v)
+    for heat in (
+        Thermal(barrier="bell", off_rate=0.02, force_scale=0.15),
+        Thermal(barrier="bell", off_rate=0.3, force_scale=math.inf),
+        Thermal(
+            barrier="catch-slip", catch=Pathway(2.0, 0.15), slip=Pathway(0.02, 0.15)
+        ),
+    )
+    for law in ("uniform", "sqrt")
+    for v in (0.1, 1.0)
+]
+
+
+@chosen(("heat", "law", "v"), FLUCTUATING, [FLUCTUATING[-1]])
+def test_thresholds_that_fluctuate(heat, law, v):
+    """Rates that change as a bond is stretched, with fluctuating thresholds, against
+    the Fokker-Planck equation (|z| < 4.5: false alarm 7e-6 each)."""
+    aging = Aging("langevin", 0.05, 2.0)
+    ensemble = Ensemble(Gamma(1.5), heat, aging=aging, stiffness_law=law)
+    found = steady(ensemble, Drive(v), rel_error=1e-3, seed=3)
+    exact = reference(ensemble, Drive(v))
+    for name in ("friction", "break_stretch"):
+        one, other = getattr(found, name), getattr(exact, name)
+        assert abs(z_score(one, other.value, other.stderr)) < 4.5
 
 
 DRIVES = {

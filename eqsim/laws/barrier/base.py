@@ -224,6 +224,17 @@ def height_slope(law: Any, xi: float, x: float, a: float) -> float:
 
 
 @by_law
+def slopes(
+    law: Any, xi: float, x: float, k: float, growth: float
+) -> tuple[float, float]:
+    """dE/dxi where the relative stiffness k has the slope `growth` with xi, and a bound
+    on the changes of E with xi and with x, per length."""
+    a = law.b * k
+    slope = height_slope(law, xi, x, a) + height(law, xi, x, a) * growth / k
+    return slope, slope
+
+
+@by_law
 def prefactor(law: Any, xi: float, x: float) -> float:
     """Prefactor p of the rate."""
     return 1.0

@@ -41,6 +41,15 @@ class ByForce(Barrier):
         return b, rate * unit / velocity, *others
 
 
+@base.slopes.register(ByForce)
+def _slopes(
+    law: ByForce, xi: float, x: float, k: float, growth: float
+) -> tuple[float, float]:
+    a, part = law.b * k, 1e-6
+    more = base.height(law, xi, x, a * (1.0 + part)) - base.height(law, xi, x, a)
+    return more / part * growth / k, max(law.b * (k + growth * x), 1e-300)
+
+
 def log_mean(z: Any) -> Array:
     """ln((exp(z) - 1)/z) of z of any sign: the mean of exp over 0 to z."""
     size = np.maximum(np.abs(z), 1e-300)
