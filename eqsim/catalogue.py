@@ -115,8 +115,12 @@ def entry(name: str) -> Entry | None:
     """The entry of a key or a column, None without one; the words of those of a
     segment, `drive.programme.1.hold` and `segment_1_peak`, or a population say which.
     """
-    if found := re.fullmatch(r"segment_(\d+)_(\w+)", name):
+    physical = "(?:_(friction_force|friction_coefficient|shear_stress))?"
+    if found := re.fullmatch(rf"segment_(\d+)_(\w+?){physical}", name):
         known = COLUMNS.get(f"segment.{found[2]}")
+        measure = COLUMNS.get(found[3] or "")
+        if known and measure:
+            known = known._replace(symbol=measure.symbol, dimension=measure.dimension)
         return known and known._replace(words=f"segment {found[1]}: {known.words}")
     if found := re.fullmatch(r"drive\.programme\.(\d+)\.(\w+)", name):
         known = KEYS.get(f"drive.programme.{found[2]}")

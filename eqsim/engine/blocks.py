@@ -19,6 +19,7 @@ from eqsim.numerics.threads import ThreadPool, interruptibly
 Progress = Callable[[int], None]
 Threads = int | tuple[Executor, int]
 _LEAST_BLOCK = 128  # contacts, at least, unless there are fewer
+MOST_SENT = 64  # replicas whose forces a worker of an executor sends back
 # shares of blocks for each worker of an executor: few, so that tables and sums are
 # seldom sent, but several, so that workers end together
 _SHARES_PER_WORKER = 4
@@ -66,13 +67,13 @@ class Totals:
         return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (replicas - 1)))
 
     def add(self, other: "Totals") -> None:
-        self.forces += getattr(other, "forces", [])  # those of workers stay there
+        self.forces += other.forces
         for name in self.names:
             _integers(getattr(self, name))[...] += _integers(getattr(other, name))
 
-    def __getstate__(self) -> dict[str, Array]:
-        """Sums, which are all that comes back from a worker."""
-        return {name: getattr(self, name) for name in self.names}
+    def __getstate__(self) -> dict[str, Any]:
+        """Sums and forces, which are all that comes back from a worker."""
+        return {name: getattr(self, name) for name in (*self.names, "forces")}
 
 
 def _integers(sums: Array) -> Array:
@@ -128,9 +129,9 @@ def _follow_blocks(
 ) -> Totals:
     """Simulate the blocks of these `numbers`, in a thread or a worker of an
     executor."""
-    if total is None:  # a worker sends back sums only
+    if total is None:
         total = job.totals(blocks.replicas)
-        total.kept = False
+        total.kept &= blocks.replicas <= MOST_SENT
     for i in numbers:
         if total.stop[0]:
             break

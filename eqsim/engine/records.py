@@ -4,12 +4,12 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from eqsim.errors import InputError
-from eqsim.estimate import Averages, Estimate, known
+from eqsim.estimate import Averages, Estimate, known, mean_of
 from eqsim.model.drive import Grid, Programme
 from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
@@ -125,21 +125,29 @@ class VelocityStep:
     Attributes
     ----------
     direct, evolution : Estimate
-        Direct effect A and evolution effect B, the changes of force up to the peak and
+        Direct effect a and evolution effect b, the changes of force up to the peak and
         from there to the end of the segment over ln(new velocity/old velocity)
-        (length). Their errors are as if the two forces were independent.
+        (length).
     memory : Estimate
         Displacement from the peak to where 1/e of the second change is left (length).
+    a_minus_b : Estimate
+        Change of force from before the step to the end of the segment over the same
+        (length).
     """
 
     direct: Estimate
     evolution: Estimate
     memory: Estimate
+    a_minus_b: Estimate
 
 
 @dataclass(frozen=True)
 class SegmentRecord:
     """Forces read off a segment of a programme.
+
+    Errors of differences of two forces are from the scatter of the difference between
+    independent parts of the contacts, or between 8 replicas or more. Where neither is
+    known they are as if the two forces were independent.
 
     Attributes
     ----------
@@ -148,13 +156,19 @@ class SegmentRecord:
     end : Estimate
         Force at its end, <F>/(N k) (length).
     peak : Estimate
-        The force that differs most from that at its beginning, as the peak after a
-        hold; of a velocity step the largest, or smallest if the slider becomes slower,
-        in the direction of motion (length).
+        The force that differs most from that at its beginning; after a hold the largest
+        in the direction of motion, and so of a velocity step, or the smallest if the
+        slider becomes slower (length).
     at : Estimate
         Where the peak is: displacement since the beginning, in a hold time.
     step : VelocityStep or None
         If the segment before moved in the same direction at another velocity.
+    relaxation : Estimate or None
+        In a hold after a motion: by how much the force falls until its end (length).
+    healing, drop : Estimate or None
+        In a motion on in the same direction after a hold: the peak less the force
+        before the hold, and less that at the end (length). Unreliable if the force
+        cannot be told from its peak over half of the motion.
     """
 
     velocity: float
@@ -164,6 +178,9 @@ class SegmentRecord:
     peak: Estimate
     at: Estimate
     step: VelocityStep | None
+    relaxation: Estimate | None = None
+    healing: Estimate | None = None
+    drop: Estimate | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -425,54 +442,145 @@ def _falls(
     return found
 
 
+# Observables of a segment of a programme, some of which are forces, and of a velocity
+# step.
+OF_SEGMENT = ("end", "peak", "at", "relaxation", "healing", "drop")
+OF_STEP = ("direct", "evolution", "memory", "a_minus_b")
+
+
+def observed(segment: SegmentRecord) -> dict[str, Estimate]:
+    """The observables of a segment, and of a velocity step if it is one."""
+    found = {name: getattr(segment, name) for name in OF_SEGMENT}
+    found |= {name: getattr(segment.step, name, None) for name in OF_STEP}
+    return {name: estimate for name, estimate in found.items() if estimate}
+
+
+class Forces(NamedTuple):
+    """Force along a grid, of which segments are summarised.
+
+    Attributes
+    ----------
+    force, stderr : ndarray, shape (points,)
+        <F>/(N k) and its standard error (length).
+    parts : ndarray, shape (parts, points), or None
+        The force of equal, independent parts of the contacts, if it is known.
+    missed : ndarray, shape (points,), or None
+        What the parts have in common of the error.
+    """
+
+    force: Array
+    stderr: Array
+    parts: Array | None = None
+    missed: Array | None = None
+
+    def within(self, here: Array) -> "Forces":
+        """The force at some instants."""
+        force, stderr, parts, missed = self
+        parts = None if parts is None else parts[:, here]
+        missed = None if missed is None else missed[here]
+        return Forces(force[here], stderr[here], parts, missed)
+
+    def change(self, *terms: tuple[int, float], more: float = 0.0) -> Estimate:
+        """A sum of forces at instants times weights, with its standard error, `more` in
+        quadrature."""
+        points, weights = zip(*terms, strict=True)
+        index, place = np.unique(points, return_inverse=True)
+        weight = np.bincount(place, weights)
+        value, n = float(self.force[index] @ weight), self.force.size
+        if self.parts is None:
+            error = float(np.linalg.norm(weight * self.stderr[index]))
+            return Estimate(value, math.hypot(error, more), n)
+        known = mean_of(self.parts[:, index] @ weight, n, len(self.parts) - 1)
+        if self.missed is not None:
+            more = math.hypot(more, *weight * self.missed[index])
+        return replace(known, value=value, stderr=math.hypot(known.stderr or 0.0, more))
+
+    def apart(self, point: int) -> Array:
+        """Standard errors of the differences from the force at a point, (points,); its
+        own error if that of differences is not known."""
+        if self.parts is None:
+            return np.full(self.force.size, self.stderr[point])
+        scatter = np.std(self.parts - self.parts[:, [point]], axis=0, ddof=1)
+        error = scatter / math.sqrt(len(self.parts))
+        return error if self.missed is None else np.hypot(error, self.missed)
+
+
 def shown_by(
     programme: Programme,
     grid: Grid,
-    force: Array,
-    stderr: Array,
+    forces: Forces,
     reliable: bool = True,
     X_stderr: Array | None = None,
 ) -> tuple[SegmentRecord, ...]:
-    """Summarise the segments of a programme from a force with errors, arrays (points,)
-    at the instants of `grid`, whose displacements are those of the slider, with errors
-    `X_stderr` if they are found behind a spring."""
-    found, before = [], programme.velocity if programme.start == "stationary" else None
+    """Summarise the segments of a programme from the force at the instants of `grid`,
+    whose displacements are those of the slider, with errors `X_stderr` (points,) if they
+    are found behind a spring."""
+    found: list[SegmentRecord] = []
+    before = programme.velocity if programme.start == "stationary" else None
+    # of a hold: velocity before it, and the instant at which it begins
+    paused: tuple[float, int] | None = None
     for index, segment in enumerate(programme.segments):
         here = np.flatnonzero(grid.segment == index)
         here = here if index == 0 else np.append(here[0] - 1, here)
         along = grid.X[here] if segment.velocity else grid.t[here]
         along = np.abs(along - along[0])
-        forces, errors = force[here], stderr[here]
+        part = forces.within(here)
         ratio = segment.velocity / before if before else 0.0
         stepped = ratio > 0 and ratio != 1
         rising = math.copysign(1.0, (ratio - 1) * segment.velocity) if stepped else 0
-        peak, at = extreme(along, forces, errors, rising)
-        if X_stderr is not None and segment.velocity and at.value is not None:
-            near = here[int(np.argmin(np.abs(along - at.value)))]
-            missed = math.hypot(at.stderr or 0.0, X_stderr[near], X_stderr[here[0]])
-            at = replace(at, stderr=missed)
-        end = Estimate(float(forces[-1]), float(errors[-1]), here.size)
-        step = None
-        if stepped:
-            step = velocity_step(along, forces, errors, (peak, at), ratio)
-        end, peak, at = (replace(e, reliable=reliable) for e in (end, peak, at))
+        resumed = paused is not None and paused[0] * segment.velocity > 0
+        if resumed:
+            rising = math.copysign(1.0, segment.velocity)
+        peak, at = extreme(along, part, rising)
+        top = int(np.argmin(np.abs(along - known(at))))
+        if X_stderr is not None and segment.velocity:
+            spread = X_stderr[here[top]], X_stderr[here[0]]
+            at = replace(at, stderr=math.hypot(at.stderr or 0.0, *spread))
+        last = here.size - 1
+        shown = {
+            "end": Estimate(float(part.force[-1]), float(part.stderr[-1]), here.size),
+            "peak": peak,
+            "at": at,
+        }
+        if not segment.velocity and before:
+            paused = before, int(here[0])
+            sign = math.copysign(1.0, before)
+            shown["relaxation"] = part.change((0, sign), (last, -sign))
+        elif resumed and paused:
+            begun, off = paused[1], known(peak) - float(part.force[top])
+            for name, other in (("healing", begun), ("drop", int(here[-1]))):
+                high, low = (int(here[top]), rising), (other, -rising)
+                change = forces.change(high, low, more=off)
+                shown[name] = replace(change, value=known(change) + rising * off)
+        step = velocity_step(along, part, (peak, at), ratio) if stepped else None
+        # the largest of many noisy values on a plateau is too large
+        vague = ("healing", "drop") if 4.0 * (at.stderr or 0.0) > along[-1] else ()
+        shown = {
+            name: replace(e, reliable=reliable and name not in vague)
+            for name, e in shown.items()
+        }
         t, X = float(grid.t[here[-1]]), float(grid.X[here[-1]])
-        found.append(SegmentRecord(segment.velocity, t, X, end, peak, at, step))
+        found.append(SegmentRecord(segment.velocity, t, X, step=step, **shown))
         before = segment.velocity
+        paused = paused if not segment.velocity else None
     return tuple(found)
 
 
 def extreme(
-    x: Array, force: Array, stderr: Array, direction: float = 0
+    x: Array, forces: Forces, direction: float = 0
 ) -> tuple[Estimate, Estimate]:
     """Estimate the force that differs most from the first one, in a `direction` (1 or
     -1) if given, and the `x` where it is; arrays (points,). The largest of many values
     with errors is biased. So the vertex of a parabola is fitted to all values within
     the error of the largest; the difference of the two is part of the error. If the
-    vertex lies beyond these values, the largest value is returned."""
+    vertex lies beyond these values, the largest value is returned. The error of the
+    place is half the range in which the force cannot be told from the largest value."""
+    force, stderr = forces.force, forces.stderr
     change = direction * (force - force[0]) if direction else np.abs(force - force[0])
     top = int(np.argmax(change))
-    near = np.abs(force - force[top]) <= 2.0 * stderr[top]
+    below = np.abs(force - force[top])
+    same = x[below <= 2.0 * forces.apart(top)]
+    near = (below <= 2.0 * stderr[top]) & (x >= same.min()) & (x <= same.max())
     left, right = top, top
     while left > 0 and near[left - 1]:
         left -= 1
@@ -482,7 +590,7 @@ def extreme(
     best, place = float(force[top]), float(x[top])
     # on a plateau the place may be anywhere
     cells = float(x[min(top + 1, n - 1)] - x[max(top - 1, 0)])
-    spread = max(0.5 * float(np.ptp(x[near])), 0.5 * cells)
+    spread = max(0.5 * float(np.ptp(same)), 0.5 * cells)
     if right - left >= 4 and 0 < top < n - 1:
         half, plateau = 0.5 * (x[right] - x[left]), slice(left, right + 1)
         a, b, c = np.polyfit((x[plateau] - place) / half, force[plateau], 2)
@@ -495,23 +603,23 @@ def extreme(
 
 
 def velocity_step(
-    x: Array,
-    force: Array,
-    stderr: Array,
-    extremum: tuple[Estimate, Estimate],
-    ratio: float,
+    x: Array, forces: Forces, extremum: tuple[Estimate, Estimate], ratio: float
 ) -> VelocityStep:
-    """Read off a step of velocity by a factor `ratio`: from the force with errors
-    against displacement since, arrays (points,), and its `extreme`."""
+    """Read off a step of velocity by a factor `ratio`: from the force against
+    displacement since, arrays (points,), and its `extreme`."""
     peak, at = extremum
-    n, log_ratio, top = force.size, np.log(ratio), known(peak)
-
-    def effect(level: int) -> Estimate:
-        error = np.hypot(peak.stderr or 0.0, stderr[level])
-        change = (top - force[level]) / log_ratio
-        return Estimate(float(change), float(error / abs(log_ratio)), n)
-
+    force, n, log_ratio = forces.force, forces.force.size, np.log(ratio)
+    last, top = n - 1, known(peak)
     first = int(np.argmin(np.abs(x - known(at))))
+    off = top - float(force[first])
+
+    def effect(begin: int, end: int, *, of_peak: float) -> Estimate:
+        """Force at `end` less that at `begin`, one of which is the peak."""
+        change = forces.change((end, 1.0), (begin, -1.0), more=of_peak * off)
+        value = (known(change) + of_peak * off) / log_ratio
+        error = (change.stderr or 0.0) / abs(log_ratio)
+        return replace(change, value=float(value), stderr=float(error))
+
     left = np.abs(force[first:] - force[-1]) - abs(top - force[-1]) / np.e
     below = int(np.argmax(left <= 0.0))
     memory = Estimate(None, None, n, reliable=False)
@@ -522,7 +630,15 @@ def velocity_step(
         # noise between neighbours makes any slope
         wide = max(first, j - max(1, below // 4))
         steep = abs(force[j] - force[wide]) / (x[j] - x[wide])
-        error = np.hypot(stderr[j], np.hypot(peak.stderr or 0.0, stderr[-1]))
-        error = error / steep if steep > 0 else np.inf
-        memory = Estimate(float(place - x[first]), float(error), n)
-    return VelocityStep(effect(0), effect(-1), memory)
+        level = (first, -1.0 / np.e), (last, 1.0 / np.e - 1.0)
+        missed = forces.change((j, 1.0), *level, more=off / np.e)
+        error = (missed.stderr or 0.0) / steep if steep > 0 else np.inf
+        # a range of two errors to either side is told of the place of the peak
+        error = math.hypot(error, 0.5 * (at.stderr or 0.0))
+        memory = Estimate(float(place - x[first]), float(error), n, missed.dof)
+    return VelocityStep(
+        direct=effect(0, first, of_peak=1.0),
+        evolution=effect(last, first, of_peak=1.0),
+        memory=memory,
+        a_minus_b=effect(0, last, of_peak=0.0),
+    )

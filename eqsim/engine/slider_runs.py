@@ -17,11 +17,18 @@ from scipy import ndimage
 
 from eqsim.engine import avalanches, events
 from eqsim.engine.blocks import Progress, Threads, workers_of
-from eqsim.engine.records import SliderTrajectory, Slip, by_replica, shown_by, slips_of
+from eqsim.engine.records import (
+    Forces,
+    SliderTrajectory,
+    Slip,
+    by_replica,
+    shown_by,
+    slips_of,
+)
 from eqsim.engine.scatter import pinned_variance
 from eqsim.engine.slider import Slider
 from eqsim.laws.stiffness import kappa
-from eqsim.model.drive import Grid, Output, Programme
+from eqsim.model.drive import Output, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Pull, pull_of
 from eqsim.model.slip import least_slip
@@ -329,6 +336,7 @@ def pulled(
         errors["friction"] = np.sqrt(std["friction"] ** 2 / replicas)
         X_std, force_std = std["X"] * unit, std["friction"] * unit
         X_replicas, force_replicas = every["X"] * unit, every["friction"] * unit
+    scatter = errors["friction"]
     if coarse:
         behind = np.abs(mean["behind"])  # and of the force, of a mean stiffness <= 1
         for name in errors:
@@ -338,7 +346,9 @@ def pulled(
     X, force = mean["X"] * unit, mean["friction"] * unit
     X_stderr, stderr = errors["X"] * unit, errors["friction"] * unit
     reliable = replicas >= _ENOUGH_REPLICAS
-    shown = Grid(grid.t, X, grid.segment), force, stderr, reliable, X_stderr
+    missed = np.sqrt(np.maximum(errors["friction"] ** 2 - scatter**2, 0.0)) * unit
+    forces = Forces(force, stderr, force_replicas if reliable else None, missed)
+    shown = grid._replace(X=X), forces, reliable, X_stderr
     energies = [mean[name] for name in _ENERGIES]
     spring = pull.stiffness * (mean["stage"] - mean["X"])
     if programme.forced:

@@ -17,7 +17,7 @@ from eqsim.engine import programme, scatter
 from eqsim.engine.blocks import Progress, Threads, require_lives, simulated, workers_of
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.recorder import BATCHES, Run, Scales, Window
-from eqsim.engine.records import ProgrammeTrajectory, Trajectory, shown_by
+from eqsim.engine.records import Forces, ProgrammeTrajectory, Trajectory, shown_by
 from eqsim.engine.sample import rough_stretch, square_of, typical_lives
 from eqsim.engine.scatter import Births, Scatter
 from eqsim.engine.slider_runs import pulled
@@ -256,8 +256,8 @@ def _of_kinds(
         averages = [run.averages for run in runs]
         mixed = mixed_averages(kinds, averages, drive.velocity)
         return replace(total, averages=Averages(**mixed))
-    shown = total.force, total.force_stderr, total.force_reliable
-    segments = shown_by(drive, drive.grid(output.points), *shown)
+    grid, forces = drive.grid(output.points), Forces(total.force, total.force_stderr)
+    segments = shown_by(drive, grid, forces, total.force_reliable)
     return replace(total, segments=segments)
 
 

@@ -430,9 +430,9 @@ def _point(sweep: Sweep, row: Any, more: dict[str, Any]) -> RunFile:
 
 def _stress(sweep: Sweep, y: str, largest: float) -> Quantity | None:
     """The shear stress in a suitable unit; `factor` converts the column of the table."""
-    known = sweep.file.quantities if sweep.file and y == "shear_stress" else ()
-    found = (one._replace(factor=1.0).near(largest) for one in known if one.name == y)
-    return next(found, None)
+    known = sweep.file.quantities if sweep.file and y.endswith("shear_stress") else ()
+    stress = (one for one in known if one.name == "shear_stress")
+    return next((one._replace(factor=1.0).near(largest) for one in stress), None)
 
 
 def _friction_beside(sweep: Sweep, table: Points) -> Quantity | None:

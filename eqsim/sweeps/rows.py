@@ -11,7 +11,13 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from eqsim.engine.elastic import elastic_trajectory
-from eqsim.engine.records import SegmentRecord, SliderTrajectory, shown_by
+from eqsim.engine.records import (
+    Forces,
+    SegmentRecord,
+    SliderTrajectory,
+    observed,
+    shown_by,
+)
 from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError, require_number
@@ -26,9 +32,6 @@ from eqsim.results import RESULTS_VERSION
 # Content of a row by column.
 RowCells = dict[str, Any]
 
-# Observables of any segment of a programme, and of a velocity step.
-OF_SEGMENT = ("end", "peak", "at")
-OF_STEP = ("direct", "evolution", "memory")
 _TOO_SHORT = "the second half is too short, or not steady"
 
 
@@ -133,20 +136,27 @@ def _programme(task: Task, programme: Programme, options: RowCells) -> RowCells:
     if isinstance(run, SliderTrajectory):
         if programme.motor and run.force_replicas is not None:
             return _motor_columns(run)
-        return _slip_columns(run)
+        if programme.stage is None or len(programme.segments) == 1:
+            return _slip_columns(run)
     doubt = "error bars of forces cannot be trusted"
+    if isinstance(run, SliderTrajectory):
+        doubt += ": how far X scatters is known from 8 replicas on"
     row = _status(run.lives, [] if run.force_reliable else [doubt])
+    if isinstance(run, SliderTrajectory):
+        row = _slip_columns(run) | row
     exact: tuple[SegmentRecord, ...] = ()
+    method = "mean field" if programme.stage else "renewal equation in two times"
     try:
         means = transient(task.ensemble, programme, task.points)
-        grid = programme.grid(task.points)
-        exact = shown_by(programme, grid, means.force, means.force_error)
-        row["reference_method"] = "renewal equation in two times"
+        forces = Forces(means.force, means.force_error)
+        grid = programme.grid(task.points)._replace(X=means.X)
+        exact = shown_by(programme, grid, forces, X_stderr=means.X_error)
+        row["reference_method"] = method
     except InputError as error:
         row |= _no_reference(row, error)
     for index, segment in enumerate(run.segments):
-        levels = _of_segment(exact[index]) if exact else {}
-        for name, ours in _of_segment(segment).items():
+        levels = observed(exact[index]) if exact else {}
+        for name, ours in observed(segment).items():
             row |= _filled(f"segment_{index}_{name}", ours, levels.get(name))
     return row
 
@@ -162,20 +172,13 @@ def _motor_columns(run: SliderTrajectory) -> RowCells:
 
 
 def _slip_columns(run: SliderTrajectory) -> RowCells:
-    """Columns of the slips of a slider that a stage pulls; a sweep has none of its
-    forces. Steady sliding, without slips, is no reason to distrust a row."""
+    """Columns of the slips of a slider that a stage pulls. Steady sliding, without
+    slips, is no reason to distrust a row."""
     period, drop = run.period, run.drop
     few = not period.reliable and not period.n == drop.n == 0
     row = _status(run.lives, ["few slips"] if few else [])
     row |= {"slips": len(run.slips)}
     return row | _filled("period", period) | _filled("drop", drop)
-
-
-def _of_segment(segment: SegmentRecord) -> dict[str, Estimate]:
-    """The observables of a segment, and of a velocity step if it is one."""
-    found = {name: getattr(segment, name) for name in OF_SEGMENT}
-    found |= {name: getattr(segment.step, name, None) for name in OF_STEP}
-    return {name: estimate for name, estimate in found.items() if estimate}
 
 
 def _averages_row(averages: Averages, lives: int, problems: list[str]) -> RowCells:

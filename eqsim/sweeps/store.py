@@ -23,6 +23,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from eqsim.engine.records import OF_SEGMENT, OF_STEP
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES
 from eqsim.io import storage
@@ -32,7 +33,7 @@ from eqsim.io.units import Quantity, quantities
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps.plan import Plan, entries, seed_of
-from eqsim.sweeps.rows import OF_SEGMENT, OF_STEP, Asked
+from eqsim.sweeps.rows import Asked
 
 try:
     import fcntl
@@ -71,12 +72,16 @@ def schema(file: RunFile, changed: Collection[str] = ()) -> Any:
         fields |= columns(one.column, "reference")
     for name in ("size", "single") if file["elastic"] else ():
         fields |= columns(name, "reference", "z")
-    pulled = file.pulled
-    if pulled:
+    if file.pulled:
         fields |= {"slips": integer, **columns("period"), **columns("drop")}
-    for index in range(0 if pulled else len(file["drive.programme"] or [])):
+    for index in range(len(file["drive.programme"] or [])):
         for name in (*OF_SEGMENT, *OF_STEP):
             fields |= columns(f"segment_{index}_{name}", *exact)
+            for one in quantities(Ensemble(), file.units, file.interface):
+                if _is_force(name):
+                    fields |= columns(
+                        f"segment_{index}_{name}_{one.column}", "reference"
+                    )
     fields |= {"reference_method": text, "lives": integer, "seed": integer}
     fields |= {"seconds": number, "eqsim_version": text}
     return pa.schema(list(fields.items()))
@@ -88,16 +93,28 @@ def _quantities(file: RunFile, ensemble: Ensemble) -> tuple[Quantity, ...]:
     return () if programmed else quantities(ensemble, file.units, file.interface)
 
 
+def _is_force(name: str) -> bool:
+    """True for an observable of a segment that is a force."""
+    return name not in ("at", "memory")
+
+
 def physical(file: RunFile, row: dict[str, Any]) -> dict[str, float]:
-    """Columns of the friction of a point in laboratory quantities; none of a point that
-    failed."""
-    if row.get("friction") is None or not _quantities(file, Ensemble()):
+    """Columns of the forces of a point, friction or those of segments, in laboratory
+    quantities; none of a point that failed."""
+    forces = {"friction": ""} | {
+        f"segment_{index}_{name}": f"segment_{index}_{name}_"
+        for index in range(len(file["drive.programme"] or []))
+        for name in filter(_is_force, (*OF_SEGMENT, *OF_STEP))
+    }
+    known = [name for name in forces if row.get(name) is not None]
+    if not known:
         return {}
     return {
-        one.column + end: row[f"friction{end}"] * one.factor
-        for one in _quantities(file, file.ensemble)
+        forces[name] + one.column + end: row[name + end] * one.factor
+        for one in quantities(file.ensemble, file.units, file.interface)
+        for name in known
         for end in ("", "_stderr", "_reference")
-        if row.get(f"friction{end}") is not None
+        if row.get(name + end) is not None
     }
 
 

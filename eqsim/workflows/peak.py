@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from eqsim.engine.records import Trajectory, extreme
+from eqsim.engine.records import Forces, Trajectory, extreme
 from eqsim.estimate import Estimate, known
 from eqsim.master.peak import PEAK_WINDOW, Peak, tip, top_of, vertex
 from eqsim.model.drive import Drive
@@ -35,7 +35,7 @@ def static_peak(ensemble: Ensemble, drive: Drive, run: Trajectory) -> Peak | Non
     fallen = np.flatnonzero(force < force[top] - 4.0 * error)
     first = max(fallen[fallen < top], default=-1) + 1
     last = min(fallen[fallen > top], default=size)
-    peak, place = extreme(X[:last], force[:last], stderr[:last], 1.0)
+    peak, place = extreme(X[:last], Forces(force[:last], stderr[:last]), 1.0)
     where, height = known(place), known(peak)
     if height == force[top]:  # no neighbours that are as high within errors
         where, height = vertex(X, force, top)

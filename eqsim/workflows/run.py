@@ -12,10 +12,12 @@ import numpy as np
 
 from eqsim.engine.breaks import Breaks, breaks, check_breaks
 from eqsim.engine.records import (
+    Forces,
     ProgrammeTrajectory,
     SegmentRecord,
     SliderTrajectory,
     Trajectory,
+    observed,
     shown_by,
 )
 from eqsim.engine.steady import Steady, steady
@@ -214,15 +216,15 @@ class ProgrammeResult(SimulatedFile):
         # behind a spring the X of the grid is the stage's, that of the solution the
         # slider's
         grid = self.drive.grid(self.file.output.points)._replace(X=exact.X)
-        error = exact.force_error
-        return shown_by(self.drive, grid, exact.force, error, X_stderr=exact.X_error)
+        forces = Forces(exact.force, exact.force_error)
+        return shown_by(self.drive, grid, forces, X_stderr=exact.X_error)
 
     def summary(self) -> dict[str, Any]:
         run = self.trajectory
         segments = [asdict(segment) for segment in run.segments]
         for segment, known in zip(segments, self.exact_segments, strict=False):
-            names = ("end", "peak", "at")
-            segment["exact"] = {name: getattr(known, name).value for name in names}
+            found = observed(known).items()
+            segment["exact"] = {name: estimate.value for name, estimate in found}
         physical = {  # factors of F/(N k), and the units of the products
             quantity.name: {"factor": quantity.factor, "unit": quantity.unit}
             for quantity in self.file.quantities
@@ -264,11 +266,23 @@ class ProgrammeResult(SimulatedFile):
             yield "...", *[""] * 6
 
     def notes(self) -> Iterator[str]:
-        for index, segment in enumerate(self.trajectory.segments[:_MOST_LINES]):
-            step = segment.step
-            if step:
-                effects = f"direct {step.direct}, evolution {step.evolution} per ln v"
-                yield f"velocity step of segment {index}: {effects}; memory length {step.memory}"
+        segments = self.trajectory.segments
+        shown = self.file.preferred(segments[0].peak)
+        row = Row("", (), shown)
+        of = f" of {shown.symbol}" if shown else ""
+        for index, segment in enumerate(segments[:_MOST_LINES]):
+            names = "relaxation", "healing", "drop"
+            known = {name: getattr(segment, name) for name in names}
+            said = [f"{name} {row.of(found)}" for name, found in known.items() if found]
+            if said:
+                where = "reload" if segment.velocity else "hold"
+                yield f"{where} of segment {index}: {', '.join(said)}{of}"
+            if step := segment.step:
+                effects = {"direct": step.direct, "evolution": step.evolution}
+                effects |= {"a - b": step.a_minus_b}
+                said = [f"{name} {row.of(found)}" for name, found in effects.items()]
+                memory = f"memory length {step.memory}"
+                yield f"velocity step of segment {index}: {', '.join(said)}{of} per ln v; {memory}"
         yield from self.doubts()
         yield from self.speed()
 
@@ -370,6 +384,9 @@ class SliderResult(ProgrammeResult):
                     z = "none" if score is None else terminal.score(score)
                 yield name, found, exact, z
             return
+        if len(drive.segments) > 1 or not run.slips:
+            yield from super().rows()
+            return
         yield "slip", "at t", "at X", "drop of the force", "takes", "over"
         for index, slip in enumerate(run.slips[:_MOST_LINES]):
             bound = "" if slip.begun and slip.ended else "> "
@@ -388,6 +405,10 @@ class SliderResult(ProgrammeResult):
         if self.drive.forced:
             gone = np.sum(np.isfinite(lives))
             yield f"{gone} of {lives.size} replicas let go before the end"
+        elif slips and len(self.drive.segments) > 1:
+            run = self.trajectory
+            mean = f"one every {run.period}, drop {run.drop}"
+            yield f"{len(slips)} slips" + f": {mean}" * (run.period.value is not None)
         else:
             yield f"{len(slips)} slips" if slips else "no slip in this run"
         for verb, whole in (("begins", "begun"), ("ends", "ended")):
