@@ -41,6 +41,9 @@ def info(
     found = groups.groups(ensemble, drive)
     lives = trajectory.predicted_lives(ensemble, drive, file.output.replicas)
     found += units.scales(ensemble, file.units, file.interface)
+    stage = file["drive.stage"]
+    if stage and (machine := file.machine(stage["stiffness"])):
+        found.append(groups.Group("K", machine, "stiffness of the machine"))
     shown.doubt(ensemble, drive)
     rows = [
         (g.name, g.value if isinstance(g.value, str) else f"{g.value:.6g}", g.meaning)

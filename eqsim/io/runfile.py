@@ -8,6 +8,7 @@ refused.
 import copy
 import functools
 import math
+import re
 import tomllib
 import typing
 from collections.abc import Callable
@@ -33,7 +34,15 @@ from eqsim.estimate import Averages, Estimate
 from eqsim.io import schema
 from eqsim.io.labels import described, of_trajectory
 from eqsim.io.tables import read_drive, read_thresholds
-from eqsim.io.units import Interface, Quantity, Row, Units, quantities, rows_of
+from eqsim.io.units import (
+    Interface,
+    Quantity,
+    Row,
+    Units,
+    over_contacts,
+    quantities,
+    rows_of,
+)
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.delay import Delay
 from eqsim.laws.named import law_of, threshold_parameters
@@ -64,6 +73,15 @@ _ALTERNATIVES = {
     "thermal.kT": "thermal.temperature",
     "interface.normal_load": "interface.normal_stress",
     "interface.normal_stress": "interface.normal_load",
+    "drive.stage.machine_stiffness": "drive.stage.stiffness",
+    "drive.stage.stiffness": "drive.stage.machine_stiffness",
+    "drive.stage.radiation_damping": "drive.stage.damping",
+    "drive.stage.damping": "drive.stage.radiation_damping",
+}
+# What of a stage is given for the machine: the key that follows, and per what it is.
+_MACHINE = {
+    "machine_stiffness": ("stiffness", catalogue.LENGTH),
+    "radiation_damping": ("damping", catalogue.VELOCITY),
 }
 
 
@@ -300,7 +318,9 @@ class RunFile(Listed):
         with under("drive"):
             if stage is not None:
                 with under("stage"):
-                    pulled_by = Stage(**stage)
+                    pulled_by = Stage(
+                        **{k: v for k, v in stage.items() if k not in _MACHINE}
+                    )
             if file is not None:
                 segments = read_drive(path_of("file", self.folder, file))
             elif alone:
@@ -369,6 +389,20 @@ class RunFile(Listed):
         "physical", if any is known."""
         found = {one.name: one.as_dict(friction, reference) for one in self.quantities}
         return {"physical": found} if found else {}
+
+    def machine(self, stiffness: float) -> str:
+        """The stiffness K of a machine of this kappa_s = K/(N k), in the unit in which
+        that of the stage is given, or as the force on all contacts; "" if neither is
+        known."""
+        stage = self["drive.stage"] or {}
+        if text := stage.get("machine_stiffness"):
+            number = re.match(r"\s*[\d.]+(e[-+]?\d+)?", text, re.IGNORECASE)
+            assert number
+            value = float(number[0]) * stiffness / stage["stiffness"]
+            return f"{value:.5g}{text[number.end() :]}"
+        unit = self.units.label(catalogue.dimension("force/length"))
+        forces = (one for one in self.quantities if one.name == "force")
+        return next((f"{one.factor * stiffness:.5g} {unit}" for one in forces), "")
 
     def headline(self, name: str) -> str:
         """The title of a table, or `name` without one, and what is simulated."""
@@ -442,9 +476,12 @@ def _without_alternatives(data: dict[str, Any], changes: dict[str, Any]) -> None
     """Remove from the content of a run file each key that says the same as one of the
     `changes`."""
     for key in _ALTERNATIVES.keys() & changes.keys():
-        section, name = _ALTERNATIVES[key].split(".")
-        if _ALTERNATIVES[key] not in changes and isinstance(data.get(section), dict):
-            data[section].pop(name, None)
+        *sections, name = _ALTERNATIVES[key].split(".")
+        place: Any = data
+        for section in sections:
+            place = place.get(section) if isinstance(place, dict) else None
+        if _ALTERNATIVES[key] not in changes and isinstance(place, dict):
+            place.pop(name, None)
 
 
 def copied(data: dict[str, Any], without: tuple[str, ...] = ()) -> Any:
@@ -654,6 +691,7 @@ def check(data: dict[str, Any], folder: Path = Path()) -> RunFile:
     file = RunFile(given, content.model_dump(), folder=folder)
     _heat(file)
     _ = file.units, file.interface, file.output
+    _stage(file)
     for index, population in enumerate(file.settings["population"] or []):
         with under(f"population.{index}"):
             merged = _population(file, index).settings
@@ -675,6 +713,27 @@ def _heat(file: RunFile) -> None:
         raise InputError(_two_temperatures(thermal["temperature"]))
     thermal["kT"] = kT
     file.given["thermal"].pop("kT", None)
+
+
+def _stage(file: RunFile) -> None:
+    """Put in the stiffness and damping of a stage that follow from those of its machine,
+    as `_heat` does. Raises InputError."""
+    stage = file.settings["drive"]["stage"]
+    for name, (other, per) in _MACHINE.items() if stage else ():
+        text, before = stage[name], stage[other]
+        if text is None:
+            continue
+        try:
+            value = over_contacts(text, per, file.units, file.quantities)
+            same = math.isclose(before or 0.0, value, rel_tol=1e-12, abs_tol=0.0)
+            if before and not same:
+                raise InputError(f"not allowed with {other}; give one of them")
+        except InputError as error:
+            raise InputError(f"drive.stage.{name} = {shown(text)}: {error}") from None
+        stage[other] = value
+        file.given["drive"]["stage"].pop(other, None)
+    if stage and stage["stiffness"] is None:
+        raise InputError("drive.stage.stiffness: is required")
 
 
 def path_of(field: str, folder: Path, name: str) -> Path:

@@ -95,6 +95,9 @@ _OTHERS = {
     "drive.stall_force": _NUMBER,
     "drive.rebinding": _TEXT,
     "drive.file": _TEXT,
+    "drive.stage.stiffness": _NUMBER,  # or that of the machine
+    "drive.stage.machine_stiffness": _TEXT,
+    "drive.stage.radiation_damping": _TEXT,
     "drive.programme.velocity": _NUMBER,
     "drive.programme.hold": _NUMBER,  # the time of a segment that does not move
     "elastic.blocks": Key(int, Annotated[Any, BeforeValidator(_whole)], ...),

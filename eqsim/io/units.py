@@ -2,6 +2,7 @@
 coefficient."""
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
 from typing import NamedTuple
@@ -282,6 +283,82 @@ def quantities(
     if ratio is not None:
         found.append(Quantity("friction_coefficient", "mu", ratio, ""))
     return tuple(found)
+
+
+_SI = {"m": "length", "s": "time", "N": "force", "Pa": "force/length^2"}
+
+
+def _measured(text: str) -> tuple[float, Dimension] | None:
+    """Value in SI units and dimension of a text such as "50 N/mm"; None if it has no
+    known unit."""
+    number = re.match(r"\s*\d*\.?\d+(e[-+]?\d+)?", text, re.IGNORECASE)
+    if not number:
+        return None
+    value, powers = float(number[0]), dict.fromkeys(Dimension._fields, 0)
+    for below, part in enumerate(text[number.end() :].split("/")):
+        for name, power in re.findall(r"([^\s^*]+)(?:\^(\d))?", part):
+            base = next(
+                (one for one in ("Pa", "m", "s", "N") if name.endswith(one)), ""
+            )
+            prefix = name.removesuffix(base)
+            if base and prefix in _PREFIXES:
+                times = int(power or 1) * (-1 if below else 1)
+                value *= float(f"1e{_PREFIXES[prefix]}") ** times
+                for axis, one in dimension(_SI[base])._asdict().items():
+                    powers[axis] += times * one
+            elif name != "1":
+                return None
+    return value, Dimension(**powers)
+
+
+def over_contacts(
+    text: str, per: Dimension, units: Units, found: Iterable[Quantity]
+) -> float:
+    """Convert a force, shear stress or friction coefficient `per` displacement or
+    velocity to the same of friction F/(N k).
+
+    Parameters
+    ----------
+    text : str
+        Such as "50 N/mm", "0.02 MPa/um", "1.6e-3/um", or "4.6 MPa s/m".
+    per : Dimension
+        `LENGTH` for a stiffness, `VELOCITY` for a damping.
+    units, found
+        Units of the run file, and the `quantities` that friction is in them.
+
+    Returns
+    -------
+    float
+        kappa_s = K/(N k), or eta_s/(N k) (time).
+
+    Raises
+    ------
+    InputError
+        For another unit, and where friction is not known in this one.
+    """
+    measured, size = _measured(text), units.size(per)
+    kinds = {
+        "force": FORCE,
+        "shear_stress": STRESS,
+        "friction_coefficient": Dimension(),
+    }
+    for name, of in kinds.items():
+        ours = (a - b for a, b in zip(of, per, strict=True))
+        if not measured or measured[1] != Dimension(*ours):
+            continue
+        one = next((one for one in found if one.name == name), None)
+        # a shear stress in known units is in Pa
+        unit = units.size(of) if name == "force" else 1.0
+        if one is None or size is None or units.size(of) is None or unit is None:
+            said = (
+                f"a {name.replace('_', ' ')} takes SI units of length, time and force"
+            )
+            raise InputError(f"{said} in [units], and what [interface] says of it")
+        return measured[0] * size / (one.factor * unit)
+    examples = '"50 N/mm", "0.02 MPa/um" or "1.6e-3/um"'
+    if per.time:
+        examples = '"4.6 MPa s/m", "100 N s/m" or "0.5 s/m"'
+    raise InputError(f"must be a number with its unit, such as {examples}")
 
 
 def scales(ensemble: Ensemble, units: Units, interface: Interface) -> list[Group]:

@@ -59,11 +59,17 @@ class StabilityResult(FileResult):
         draw = checks.stability_figure
         return {"stability": draw(self.stability, self.borders, caption)}
 
-    def rows(self) -> Iterator[tuple[str, str, str]]:
+    def rows(self) -> Iterator[tuple[str, ...]]:
         """The run's stiffness, its first slip, and steady sliding."""
-        found, fresh = self.stability, self.stability.fresh
-        yield "", "value", "meaning"
-        yield "stiffness", f"{found.stiffness:.6g}", "kappa_s = K/(N k) of this run"
+        found, fresh, known = self.stability, self.stability.fresh, self.file.machine(1)
+        machine = ("K",) * bool(known)
+        yield "", "value", *machine, "meaning"
+
+        def of(kappa: float | None) -> tuple[str, ...]:
+            return (self.file.machine(kappa) if kappa else "",) * bool(known)
+
+        said = "kappa_s = K/(N k) of this run"
+        yield "stiffness", f"{found.stiffness:.6g}", *of(found.stiffness), said
         verdict = _FRESH[found.fresh_verdict]
         every: list[tuple[str, Any, str]] = [
             ("fresh start, critical", fresh.critical_stiffness, "kappa_s below which the slider jumps"),
@@ -80,7 +86,8 @@ class StabilityResult(FileResult):
         optional = ("after X", "critical", "growth rate", "period")
         for name, value, meaning in every:
             if name not in optional or value.value is not None:
-                yield name, _with_error(value), meaning
+                stiffness = value.value if "kappa_s" in meaning else None
+                yield name, _with_error(value), *of(stiffness), meaning
 
     def notes(self) -> Iterator[str]:
         found = self.stability

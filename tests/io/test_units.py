@@ -315,3 +315,48 @@ def test_steel_is_in_megapascal():
         reduced / (3 * math.sqrt(3)), rel=1e-3, abs=0
     )
     assert "MPa" in call("reference", RUNS / "steel.toml").stdout
+
+
+# N = 2000 of k = .4 N/m on 2000/1e-6 nm^2 = 2e-9 m^2: N k = 800 N/m, tau = 4e11 Pa/m
+# times F/(N k) and mu = 4e8 times it, under 1 kPa; time is in s.
+MACHINES = {
+    "machine_stiffness": {
+        "40 N/m": 0.05,
+        "0.04 N/mm": 0.05,
+        "2e-2 MPa/um": 0.05,
+        "20 1/um": 0.05,
+        ".02/nm": 0.05,
+    },
+    "radiation_damping": {"4e5 MPa s/m": 1.0, "800 N s/m": 1.0, "2e8 s/m": 0.5},
+}
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_machine_in_its_own_units(name, run_file):
+    stage = '[drive.stage]\nstiffness = 0.3\n[units]\nlength = "nm"'
+    text = RUN.replace('[units]\nlength = "nm"', stage)
+    run_file.write_text(
+        text.replace("[contacts]", "normal_stress = 1e-6\n[contacts]", 1)
+    )
+    field = {"machine_stiffness": "stiffness", "radiation_damping": "damping"}[name]
+    for given, expected in MACHINES[name].items():
+        file = load(run_file, {f"drive.stage.{name}": given})
+        found = getattr(file.drive.stage, field)
+        assert found == pytest.approx(expected, rel=1e-12, abs=0), given
+    if field == "stiffness":
+        assert file.machine(0.1) == "0.04/nm"
+    assert load(run_file).machine(0.1) == "80 nN/nm"
+    swept = at(file, {f"drive.stage.{field}": 0.2})
+    assert getattr(swept.drive.stage, field) == 0.2
+    for change, said in (
+        ({f"drive.stage.{name}": "50"}, "must be a number with its unit, such as"),
+        ({f"drive.stage.{name}": "50 N"}, "must be a number with its unit, such as"),
+        ({f"drive.stage.{name}": "1 m/s^2"}, "must be a number with its unit, such as"),
+        ({"units.length": "x"}, "takes SI units"),
+        (
+            {f"drive.stage.{name}": given, f"drive.stage.{field}": 0.2},
+            "give one of them",
+        ),
+    ):
+        with pytest.raises(InputError, match=said):
+            load(run_file, {f"drive.stage.{name}": given, **change})
