@@ -44,7 +44,7 @@ def info(
     stage = file["drive.stage"]
     if stage and (machine := file.machine(stage["stiffness"])):
         found.append(groups.Group("K", machine, "stiffness of the machine"))
-    shown.doubt(ensemble, drive)
+    shown.doubt(file, drive)
     rows = [
         (g.name, g.value if isinstance(g.value, str) else f"{g.value:.6g}", g.meaning)
         for g in found

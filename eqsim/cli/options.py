@@ -3,6 +3,7 @@
 import copy
 import functools
 import inspect
+import itertools
 import os
 import re
 import sys
@@ -96,9 +97,11 @@ class Shown:
         if not (self.quiet or self.json):
             print(line)
 
-    def doubt(self, ensemble: Any, drive: Any = None) -> None:
-        """Warn on standard error about numbers whose units were probably mixed."""
-        for line in groups.doubts(ensemble, drive) if not self.quiet else ():
+    def doubt(self, file: "runfile.RunFile", drive: Any = None) -> None:
+        """Warn on standard error about numbers whose units were probably mixed, and what
+        was assumed for a surface in units."""
+        lines = (groups.doubts(file.ensemble, drive), file.doubts())
+        for line in itertools.chain(*lines) if not self.quiet else ():
             complain(f"warning: {line}")
 
     def report(self, data: Any, **more: Any) -> None:

@@ -83,7 +83,7 @@ def run(
     with shown.bar("simulating", "lives") as progress:
         how: dict[str, Any] = {"max_lives": max_lives, "progress": progress}
         found = running.run(file, threads=count, workers=workers, **how)
-    shown.doubt(file.ensemble, file.drive)
+    shown.doubt(file, file.drive)
     shown.result(found, path.stem, folder, formats)
 
 
@@ -104,7 +104,7 @@ def steady(
         how: dict[str, Any] = {"max_lives": max_lives, "progress": announced}
         how |= {"rel_error": rel_error, "threads": cores(threads)}
         found = averages.simulated(file, **how)
-    shown.doubt(file.ensemble)
+    shown.doubt(file)
     if not found.steady.reached and not shown.quiet:
         complain(f"relative error {rel_error:g} was not reached")
     shown.result(found, path.stem)
@@ -133,7 +133,7 @@ def reference(
     cores(threads)
     if not (transient or closure):
         found = averages.exact(file, variance=shown.json)
-        shown.doubt(file.ensemble)
+        shown.doubt(file)
         shown.result(found, path.stem)
         return
     formats = pictured(format_)

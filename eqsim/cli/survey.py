@@ -74,7 +74,7 @@ def sweep(
     try:
         points = plan.Plan(file)
         first = points.at(0)
-        shown.doubt(first.ensemble, first.drive)
+        shown.doubt(first, first.drive)
         with shown.bar("sweeping", "points") as progress:
             found = scheduler.sweep(
                 points, out, asked=asked, workers=workers, progress=progress, note=shown.note,

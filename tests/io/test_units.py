@@ -360,3 +360,26 @@ def test_a_machine_in_its_own_units(name, run_file):
     ):
         with pytest.raises(InputError, match=said):
             load(run_file, {f"drive.stage.{name}": given, **change})
+
+
+def test_what_is_assumed_of_a_surface_is_said(run_file):
+    """What a file in units leaves out, heat that is idle, a friction coefficient of 33;
+    nothing of a file that says all, or without units."""
+    assert not list(load(run_file).doubts())
+    for key in ("count = 2000\n", "stiffness = 0.4\n", "attempt_frequency = 1e9\n"):
+        RUN_ = run_file.read_text().replace(key, "")
+        run_file.write_text(RUN_)
+    assumed, heat, mu = load(
+        run_file,
+        {"interface.normal_load": 1e6, "thermal.temperature": 1e-9},
+    ).doubts()
+    assert assumed == (
+        "not given, and assumed: contacts.count = 100 000, contacts.stiffness = 1 nN/nm, "
+        "thermal.attempt_frequency = 1 1/s"
+    )
+    assert "heat does next to nothing" in heat
+    # half the mean threshold, Gamma(5/2)/Gamma(2) x_* = 1.329 x_*, times N k/load
+    assert "friction coefficients are about 33.2: are stiffness" in mu
+    plain = RUN_[RUN_.index("[contacts]") :].replace("temperature = 300.0", "kT = 0.1")
+    run_file.write_text(plain)
+    assert not list(load(run_file).doubts())
