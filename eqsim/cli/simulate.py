@@ -84,6 +84,8 @@ def run(
         how: dict[str, Any] = {"max_lives": max_lives, "progress": progress}
         found = running.run(file, threads=count, workers=workers, **how)
     shown.doubt(file, file.drive)
+    for line in file.said:
+        shown.note(line)
     shown.result(found, path.stem, folder, formats)
 
 

@@ -43,7 +43,9 @@ class Measurements(NamedTuple):
     value and standard error.
 
     `names` are the columns that are keys, `temperatures` belong to the rows, `sha256`
-    is the digest of the file, and a record has the `time` of its points.
+    is the digest of the file, and a record has the `time` of its points. `said` is what
+    was done to the rows of the file, and `read` those of a record before block means,
+    their time and force.
     """
 
     rows: list[MeasuredAt]
@@ -55,6 +57,8 @@ class Measurements(NamedTuple):
     temperatures: Array
     sha256: str
     time: Array | None = None
+    said: tuple[str, ...] = ()
+    read: tuple[Array, Array] | None = None
 
     @property
     def sets(self) -> list[str]:

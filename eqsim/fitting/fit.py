@@ -25,7 +25,7 @@ from eqsim.fitting.model import (
     SteadyForward,
 )
 from eqsim.fitting.record import Correlation, RecordForward
-from eqsim.fitting.section import NUISANCES, Fit, parameters_of, section_of
+from eqsim.fitting.section import Fit, parameters_of, section_of
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile, at, opened, path_of
 from eqsim.laws.barrier import BARRIERS
@@ -245,11 +245,16 @@ class Prepared(NamedTuple):
     warnings: list[str]
 
 
-def prepare(file: RunFile, data: Path | None, allow_degenerate: bool) -> Prepared:
+def prepare(
+    file: RunFile,
+    data: Path | None,
+    allow_degenerate: bool,
+    progress: Progress = lambda done, total: None,
+) -> Prepared:
     """Read and check what a fit needs. Raises InputError."""
     section = section_of(file)
     free = parameters_of(file, section)
-    table = _measured(file, section, data)
+    table = _measured(file, section, data, progress)
     if file.ensemble.populations:
         raise InputError("population: not allowed with [fit]")
     scales, _ = section.scales(table.sets)
@@ -268,7 +273,9 @@ def prepare(file: RunFile, data: Path | None, allow_degenerate: bool) -> Prepare
     return Prepared(section, table, problem_of(file, section, table), warnings)
 
 
-def _measured(file: RunFile, section: Fit, data: Path | None) -> Measurements:
+def _measured(
+    file: RunFile, section: Fit, data: Path | None, progress: Progress
+) -> Measurements:
     """Read the table or the record of measurements. Raises InputError."""
     field, name = "fit.data", section.data
     if section.record is not None:
@@ -277,7 +284,7 @@ def _measured(file: RunFile, section: Fit, data: Path | None) -> Measurements:
         raise InputError("fit.data: is required, the CSV file of measurements")
     path = data or path_of(field, file.folder, str(name))
     if section.record is not None:
-        return record.read_record(path, section)
+        return record.read_record(path, section, file, progress)
     table = read_table(path, file, section)
     _check_rows(file, table)
     return table
@@ -297,12 +304,11 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
             both = "not allowed with fit.record.machine_stiffness"
             raise InputError(f"fit.free.drive.stage.stiffness: {both}")
         forward = RecordForward(file, table.time, stiffness, fixed)
-        shapes = np.ones(table.time.size), table.time - table.time.mean()
-        for (key, name), shape in zip(NUISANCES.items(), shapes, strict=True):
+        for key, shape in record.shapes(file, section, table.time).items():
             if key in keys:
                 nuisance[key] = shape
             else:
-                value = value - getattr(section, name) * shape
+                value = value - section.nuisance(key) * shape
     parameters = [one for one in free if one.key not in nuisance]
     first, scale_of = len(parameters), np.full(names.size, -1)
     unit = np.ones(names.size)

@@ -1,10 +1,11 @@
 """Records: force against time under a programme, with errors that are correlated from
 point to point.
 
-What is measured is scale F(t) + offset + drift (t - <t>), F the mean field along the
-programme (`master.slider` with a stage, `master.programme` without). The stage's
-stiffness is that of the run file, kappa_s = K/(N k), or K is given in the unit of the
-measured force over length, so that kappa_s = K/scale.
+What is measured is scale F(t) + offset + drift (t - <t>) + trend (X - <X>), with X the
+displacement of the load point, and F the mean field along the programme
+(`master.slider` with a stage, `master.programme` without). The stage's stiffness is
+that of the run file, kappa_s = K/(N k), or K is given in the unit of the measured force
+over length, so that kappa_s = K/scale.
 
 Errors of neighbours, dt apart, are taken to have the correlation exp(-dt/tau) of a
 Markov process, of which the residuals of a first fit tell tau; residuals are then made
@@ -12,6 +13,7 @@ independent (whitened).
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -20,12 +22,13 @@ import numpy as np
 from scipy import optimize
 
 from eqsim.errors import InputError
-from eqsim.fitting.data import MeasuredAt, Measurements, lines
+from eqsim.fitting.data import MeasuredAt, Measurements
 from eqsim.fitting.estimate import Minimum, minimise
 from eqsim.fitting.model import Problem
-from eqsim.fitting.section import Fit
+from eqsim.fitting.section import BlockSize, Fit, RecordSection
 from eqsim.io.csv import read
 from eqsim.io.runfile import RunFile, at
+from eqsim.io.series import Blocks, RowErrors, blocks_of, means, read_series
 from eqsim.master.cohorts import NO_CHOICES, Choices
 from eqsim.master.programme import means_along
 from eqsim.master.slider import TooManySteps, choices_of, force_of
@@ -44,53 +47,136 @@ _CHI2_FALL = 1e-3
 _COARSE = 0.7
 # Time steps of a solve in a search: steady sliding takes some hundred, a slip a thousand.
 _MOST_SOLVER_STEPS = 4000
+# Rows of a record from which on it is read as block means, unless told otherwise.
+_MOST_ROWS = 2000
 # Correlation of neighbours below which they are independent.
 _LEAST_CORRELATION = 0.02
 
 
-def read_record(path: Path, fit: Fit) -> Measurements:
-    """Read the points of a record, a CSV file with columns of time and force, and of
-    standard errors. Errors of the file and of fit.noise add in quadrature. Raises
-    InputError with the column or line that cannot be used."""
+class _Way(NamedTuple):
+    """Times at the ends of the segments of a programme, from 0 on, displacements there,
+    and the paths up to there."""
+
+    t: Array
+    X: Array
+    path: Array
+
+    @classmethod
+    def of(cls, programme: Programme) -> "_Way":
+        """The way of a programme."""
+        segments = programme.segments
+        moved = [math.copysign(each.path, each.velocity) for each in segments]
+        steps = np.array([[each.duration for each in segments], moved, np.abs(moved)])
+        return cls(*np.insert(np.cumsum(steps, axis=1), 0, 0.0, axis=1))
+
+    def segment(self, t: Array) -> Array:
+        """The segment that each instant belongs to, or ends."""
+        inside = np.searchsorted(self.t[1:], t * (1.0 - 1e-12))
+        return np.asarray(np.minimum(inside, self.t.size - 2))
+
+
+def programme_of(file: RunFile) -> Programme:
+    """The programme of a record. Raises InputError."""
+    programme = file.drive
+    if not isinstance(programme, Programme):
+        raise InputError("drive.programme: is required with fit.record")
+    return programme
+
+
+def read_record(
+    path: Path,
+    fit: Fit,
+    file: RunFile | None = None,
+    progress: Callable[[int, float], None] = lambda done, total: None,
+) -> Measurements:
+    """Read the points of a record, a CSV file with columns of time (or displacement of
+    the load point) and force (or shear stress, beside normal stress), and of standard
+    errors; long ones as block means. Errors of the file and of fit.noise add in
+    quadrature. Raises InputError with the column or line that cannot be used."""
     record, noise = fit.record, fit.noise
     assert record is not None
-    field = f"fit.record.file = {path}"
-    sheet, points = read(path, field), list[tuple[float, float, float]]()
-    for key in ("time", "force", "stderr"):
+    way = None if file is None else _Way.of(programme_of(file))
+    sheet = read(path, f"fit.record.file = {path}", record.decimal)
+    for key in ("time", "displacement", "force", "normal", "stderr"):
         name = getattr(record, key)
-        if name not in (None, *sheet.columns):
-            given, there = f'fit.record.{key} = "{name}"', ", ".join(sheet.columns)
-            raise InputError(f"{given}: no such column; there are {there}")
-        if name is not None:
-            sheet.index(name)  # refuses a name that is there twice
-    for line in lines(sheet, "fit.record.file"):
-        t, force = line.value(record.time), line.value(record.force)
-        error = 0.0 if record.stderr is None else line.value(record.stderr)
-        if error < 0:
-            raise InputError(f"{line.where}{record.stderr} = {error:g}: must be >= 0")
-        sigma = math.hypot(error, noise.absolute, noise.relative * force)
-        if not sigma > 0:
-            cure = "give fit.record.stderr or fit.noise"
-            raise InputError(f"{line.where}{record.force} has no error; {cure}")
-        if points and not t > points[-1][0]:
-            given = f"{line.where}{record.time} = {t:g}"
-            raise InputError(f"{given}: must be later than {points[-1][0]:g} before it")
-        points.append((t, force, sigma))
-    if not points or points[0][0] < 0:
-        wrong = "begins before time 0" if points else "is empty"
-        raise InputError(f"{field}: {wrong}")
-    time, value, sigmas = np.array(points).T
+        if name is not None and (key, record.displacement is None) != ("time", False):
+            sheet.index(name, f" (fit.record.{key} names another)")
+    clock = record.displacement or record.time
+    names = [clock, record.force, *([record.normal] if record.normal else [])]
+    found = read_series(sheet, names, record.start, record.stderr, progress=progress)
+    t, force, said = found.t, found.values[:, 0], [f"{found.t.size} rows", *found.said]
+    errors = np.zeros(t.size) if record.stderr is None else found.values[:, -1]
+    if record.normal is not None:
+        normal = found.values[:, 1]
+        if (wrong := np.flatnonzero(normal <= 0)).size:
+            given = f"{record.normal} = {normal[wrong[0]]:g}: must be > 0"
+            raise InputError(f"{sheet.field}, line {found.lines[wrong[0]]}: {given}")
+        force, errors = force / normal, errors / normal
+    if record.displacement is not None:
+        if way is None or np.any(np.diff(way.X) <= 0):
+            said_of = "in which the load point always moves on; give fit.record.time"
+            raise InputError(f"fit.record.displacement: needs a programme {said_of}")
+        ends = f"fit.record: ends at {t[-1]:g}, after the programme, {way.X[-1]:g}"
+        if t[-1] > way.X[-1] * (1.0 + 1e-9):
+            raise InputError(ends)
+        t = np.interp(t, way.X, way.t)
+    points, lines = (t, force, errors), found.lines
+    long = record.blocks is None and t.size > _MOST_ROWS
+    if way is not None and (long or record.blocks not in (None, "none")):
+        common = math.hypot(noise.absolute, noise.relative * float(np.median(force)))
+        blocks = _blocks(record, way, (t, force), RowErrors(errors, common))
+        points = means(t, blocks), means(force, blocks), blocks.error
+        lines = lines[blocks.first]
+        said.append(_words_of(blocks, t))
+    time, value, error = points
+    sigma = np.hypot(error, np.hypot(noise.absolute, noise.relative * value))
+    if (wrong := np.flatnonzero(~(sigma > 0))).size:
+        cure = "give fit.record.stderr or fit.noise"
+        where = f"{sheet.field}, line {lines[wrong[0]]}"
+        raise InputError(f"{where}: {record.force} has no error; {cure}")
     return Measurements(
         rows=[MeasuredAt(changes=(), heat=1.0, set="")],
         row=np.zeros(time.size, int),
         observable=["friction"] * time.size,
         value=value,
-        sigma=sigmas,
+        sigma=sigma,
         names=[],
         temperatures=np.ones(1),
         sha256=sheet.sha256,
         time=time,
+        said=tuple(said),
+        read=(t, force),
     )
+
+
+def _blocks(
+    record: RecordSection, way: _Way, points: tuple[Array, Array], errors: RowErrors
+) -> Blocks:
+    """The blocks of a record's rows, none of them beyond a segment of the programme.
+    Raises InputError."""
+    t, force = points
+    segment, given = way.segment(t), None
+    if isinstance(record.blocks, BlockSize):
+        along = t
+        if record.blocks.per == "displacement":
+            if np.any(np.diff(way.path) == 0):
+                said = "a hold has none; it must be per time"
+                raise InputError(f'fit.record.blocks: per = "displacement": {said}')
+            along = np.interp(t, way.t, way.path)
+        given = np.floor(along / record.blocks.size).astype(int)
+    return blocks_of(force, segment, errors, given)
+
+
+def _words_of(blocks: Blocks, t: Array) -> str:
+    """What was averaged, and how much of it is smeared."""
+    narrow, wide = np.min(blocks.rows), np.max(blocks.rows)
+    ends = np.append(t[blocks.first], t[-1])
+    said = f"{blocks.first.size} block means of {narrow} to {wide} rows"
+    said += f", at most {np.max(np.diff(ends)):.3g} long in time"
+    smeared = int(np.sum(~blocks.straight))
+    if not smeared:
+        return f"{said}: no feature is smeared"
+    return f"{said}: {smeared} of them smear what the record shows, make them smaller"
 
 
 class _Course(NamedTuple):
@@ -166,26 +252,33 @@ class RecordForward:
         """Contacts, drive and grid at these parameters. Raises InputError."""
         keys = {key: x for key, x in changes.items() if not key.startswith("fit.")}
         file = at(self.file, keys)
-        ensemble, programme = file.ensemble, file.drive
-        if not isinstance(programme, Programme):
-            raise InputError("drive.programme: is required with fit.record")
+        ensemble, programme = file.ensemble, programme_of(file)
         if self.machine_stiffness is not None:
             if programme.stage is None:
                 raise InputError("drive.stage: is required with machine_stiffness")
             scale = changes.get("fit.scale", self.fixed_scale)
             stage = replace(programme.stage, stiffness=self.machine_stiffness / scale)
             programme = replace(programme, stage=stage)
-        ends = np.cumsum([segment.duration for segment in programme.segments])
-        if self.time[-1] > ends[-1] * (1.0 + 1e-9):
-            end = f"fit.record: ends at {self.time[-1]:g}"
-            raise InputError(f"{end}, after the programme, which takes {ends[-1]:g}")
-        time = np.minimum(self.time, ends[-1])
-        t = np.unique(np.concatenate(([0.0], time, ends)))
-        segment = np.minimum(np.searchsorted(ends, t * (1.0 - 1e-12)), ends.size - 1)
-        moved = [math.copysign(each.path, each.velocity) for each in programme.segments]
-        X = np.interp(t, np.append(0.0, ends), np.append(0.0, np.cumsum(moved)))
-        grid = Grid(t, X, segment)
+        way = _Way.of(programme)
+        end = f"fit.record: ends at {self.time[-1]:g}, after the programme, which takes"
+        if self.time[-1] > way.t[-1] * (1.0 + 1e-9):
+            cure = "fit.record.start is the time of the clock at which it begins"
+            raise InputError(f"{end} {way.t[-1]:g}; {cure}")
+        time = np.minimum(self.time, way.t[-1])
+        t = np.unique(np.concatenate((way.t, time)))
+        grid = Grid(t, np.interp(t, way.t, way.X), way.segment(t))
         return _Course(ensemble, programme, grid, np.searchsorted(t, time))
+
+
+def shapes(file: RunFile, fit: Fit, t: Array) -> dict[str, Array]:
+    """What "fit.offset", "fit.drift" and "fit.trend" add to a record at times `t`, where
+    they are 1. Raises InputError."""
+    found = {"fit.offset": np.ones(t.size), "fit.drift": t - t.mean()}
+    if fit.trend is not None:
+        way = _Way.of(programme_of(file))
+        along = t if fit.trend.per == "time" else np.interp(t, way.t, way.X)
+        found["fit.trend"] = along - along.mean()
+    return found
 
 
 class Correlation(NamedTuple):

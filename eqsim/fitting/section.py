@@ -21,7 +21,7 @@ from eqsim.laws.named import threshold_parameters
 from eqsim.sweeps.plan import entries
 
 # Parameters of a record that are no keys of a run file, and their names in [fit].
-NUISANCES = {"fit.offset": "offset", "fit.drift": "drift"}
+NUISANCES = ("fit.offset", "fit.drift", "fit.trend")
 # Examples of sections, for messages.
 _EXAMPLES = {
     "free": "{ bounds = [0.1, 10.0] }",
@@ -29,6 +29,8 @@ _EXAMPLES = {
     "scale": "{ start = 1.0, bounds = [0.01, 100.0] }, or a number",
     "noise": "{ relative = 0.05, absolute = 0.0 }",
     "record": '{ file = "step.csv" }',
+    "trend": '{ per = "displacement" }, or "time"',
+    "blocks": '{ per = "displacement", size = 0.5 }, "auto" or "none"',
 }
 
 
@@ -71,12 +73,27 @@ class Noise(_Section):
     absolute: NotNegative = 0.0
 
 
+class BlockSize(_Section):
+    per: Literal["displacement", "time"]
+    size: Positive
+
+
 class RecordSection(_Section):
     file: str
     time: str = "t"
+    displacement: str | None = None
     force: str = "force"
+    normal: str | None = None
     stderr: str | None = None
+    start: str | float | None = None
+    decimal: Literal[".", ","] | None = None
+    blocks: Literal["auto", "none"] | BlockSize | None = None
     machine_stiffness: Positive | None = None
+
+
+class Trend(_Section):
+    per: Literal["displacement", "time"]
+    value: Finite = 0.0
 
 
 class Fit(_Section):
@@ -91,9 +108,20 @@ class Fit(_Section):
     loss: Literal["gaussian", "student"] = "gaussian"
     offset: Finite = 0.0
     drift: Finite = 0.0
+    trend: Trend | None = None
     area: Positive | None = None
     normal_stress: Positive | None = None
     free: dict[str, Free] = Field(default_factory=dict)
+
+    def nuisance(self, key: str) -> float:
+        """The value of "fit.offset", "fit.drift" or "fit.trend". Raises InputError."""
+        if key != "fit.trend":
+            return float(getattr(self, key.removeprefix("fit.")))
+        if self.trend is None:
+            raise InputError(f"fit.trend: is required, {_EXAMPLES['trend']}")
+        if self.trend.per == "time" and "fit.drift" in self.free:
+            raise InputError("fit.free.fit.drift: is a trend per time, as fit.trend is")
+        return self.trend.value
 
     def scales(self, sets: list[str]) -> tuple[list["Parameter"], float]:
         """Free scales of force, one for each set, and 1; or none and the fixed scale.
@@ -112,6 +140,7 @@ _FIT_SECTIONS: dict[str, type[BaseModel]] = {
     "scale": Scale,
     "noise": Noise,
     "record": RecordSection,
+    "trend": Trend,
 }
 
 
@@ -141,7 +170,7 @@ _TRANSFORMS = {
 
 class Parameter(NamedTuple):
     """A parameter of a fit: a key of the run file, "fit.scale" (of a set:
-    "fit.scale.SET"), "fit.offset" or "fit.drift"; bounds, start and prior in the
+    "fit.scale.SET"), "fit.offset", "fit.drift" or "fit.trend"; bounds, start and prior in the
     variable in which it is fitted; and whether what is measured is linear in it."""
 
     key: str
@@ -234,7 +263,7 @@ def parameters_of(file: RunFile, fit: Fit) -> list[Parameter]:
         if key in NUISANCES:
             if fit.record is None:
                 raise InputError(f"{field}: only of a record; there is no fit.record")
-            value: Any = getattr(fit, NUISANCES[key])
+            value: Any = fit.nuisance(key)
             if "transform" not in free.model_fields_set:
                 free = free.model_copy(update={"transform": "linear"})
         elif key not in known:

@@ -1,31 +1,52 @@
 """CSV files, those that users bring and those that `eqsim export` writes: one reader,
 one writer.
 
-A line holds cells with commas between them, and the first one names the columns. A cell
-may stand in double quotes, in which a quote is doubled; it ends on its line. Comments
-(lines that begin with #, whatever else they hold), empty lines, a byte-order mark, the
-kind of line ends and blanks around cells do not count. Every other line is a row, or is
+A line holds cells with commas, semicolons, tabs or blanks between them, and the first
+one names the columns, with units or a row of these below, if any. A cell may stand in
+double quotes, in which a quote is doubled; it ends on its line. Comments (lines that
+begin with # or %, whatever else they hold), Excel's `sep=;`, empty lines, a byte-order
+mark, the kind of line ends and blanks around cells do not count. Numbers have a decimal
+point or a decimal comma, text is in UTF-8 or Latin-1. Every other line is a row, or is
 refused with its number: none can vanish between two quotes.
 """
 
+import functools
 import hashlib
 import io
+import itertools
 import math
 import re
 import stat
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from eqsim.errors import InputError
+from eqsim.numerics.tables import Array
 
 MOST_BYTES = 1_000_000_000  # of a file, which is read into memory
-# in quotes, or as it stands
-_CELL = re.compile(r'\s*(?:"((?:[^"]|"")*)"\s*|([^",\s][^,]*|))(?:,|\Z)')
-_LINE_END = re.compile(rb"\r\n|\r|\n")
 # how numbers begin
-_LIKE_A_NUMBER = re.compile(r"[+-]?(\.?\d|(nan|inf|infinity)\Z)", re.IGNORECASE)
+_LIKE_A_NUMBER = re.compile(r"[+-]?([.,]?\d|(nan|inf|infinity)\Z)", re.IGNORECASE)
+# Cells of measurements that there are not, also as Excel writes them.
+_EXCEL_ERROR = r"#(?:n/a|div/0!|value!|ref!|num!|null!|name\?)"
+GAP = re.compile(rf"(?:nan|na|n/a|null|none|{_EXCEL_ERROR})?", re.IGNORECASE)
+_COMMENT = re.compile(rf"(?!{_EXCEL_ERROR})[#%]|sep=.$", re.IGNORECASE)
+# Bytes that no text in Latin-1 has.
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+# A cell of a row of units, such as "um/s" or "[1/mm^2]".
+_UNIT = re.compile(
+    r"[\[(]?(?:(?:[munkMGhcdµμ]?(?:m|g|s|N|Pa|K|V|A|J|W|Hz)|min|h|°?C|bar|psi|deg|rad|"
+    r"microns?|sec|%|-|1)(?:\^?[-−]?\d|[²³])?[/*· ]?)*[\])]?"
+)
+# Lines at the beginning of a file that tell what separates its cells.
+_TELLING_LINES = 200
+# Lines between two calls of `progress`.
+_ANNOUNCED_LINES = 50_000
+_BETWEEN = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
 
 
 @dataclass(frozen=True)
@@ -39,18 +60,32 @@ class Sheet:
     columns : list of str
         Their names.
     first : int
-        Number of the line that holds these.
-    text : str
+        Number of the line that holds these, or units below: rows begin after it.
+    content : bytes
         The whole file.
-    sha256 : str
-        Its digest.
+    encoding : str
+        Of its text, "utf-8-sig" or "latin-1".
+    separator : str
+        What stands between cells: a comma, semicolon, tab or (any number of) blanks.
+    decimal : str
+        "." or ",".
+    units : tuple of str
+        The row of units below the names, if there is one.
     """
 
     field: str
     columns: list[str]
     first: int
-    text: str
-    sha256: str
+    content: bytes
+    encoding: str = "utf-8-sig"
+    separator: str = ","
+    decimal: str = "."
+    units: tuple[str, ...] = ()
+
+    @property
+    def sha256(self) -> str:
+        """Digest of the file."""
+        return hashlib.sha256(self.content).hexdigest()
 
     @property
     def headless(self) -> bool:
@@ -58,62 +93,192 @@ class Sheet:
         names."""
         return bool(_LIKE_A_NUMBER.match(self.columns[0]))
 
+    @property
+    def said(self) -> str:
+        """How the file was understood, in words."""
+        parts = [f"cells separated by {_BETWEEN[self.separator]}"]
+        parts += ["decimal commas"] * (self.decimal == ",")
+        parts += ["text in Latin-1, not UTF-8"] * (self.encoding == "latin-1")
+        parts += [f"line {self.first} holds units"] * bool(self.units)
+        return ", ".join(parts)
+
     def index(self, name: str, hint: str = "") -> int:
-        """Number of the column with a name. Raises InputError, to which a `hint` is
-        added, unless exactly one has."""
-        count = self.columns.count(name)
+        """Number of the column with a name, or with this name before a unit in
+        brackets. Raises InputError, to which a `hint` is added, unless exactly one
+        has."""
+        bare = [re.sub(r"\s*[(\[][^)\]]*[)\]]$", "", column) for column in self.columns]
+        columns = self.columns if name in self.columns else bare
+        count = columns.count(name)
         if count == 0:
             there = ", ".join(self.columns)[:60] + hint
             needed = f'needs a column "{name}" in its first line'
             raise InputError(f"{self.field}: {needed}; found {there}")
         if count > 1:
             raise InputError(f'{self.field}: has {count} columns "{name}"')
-        return self.columns.index(name)
+        return columns.index(name)
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Number of the line and a cell for each column, of every row. Raises
-        InputError for a line that is none."""
-        width = len(self.columns)
-        for number, line in _lines(self.text):
+        """Number of the line and a cell for each column, of every row; numbers have
+        decimal points. Raises InputError for a line that is none."""
+        width, commas = len(self.columns), self.decimal == ","
+        for number, line in _lines(self.content, self.encoding):
             if number <= self.first:
                 continue
-            where = f"{self.field}, line {number}"
-            cells = _cells(line, where)
-            if any(cells[width:]):
-                said = "more values than columns (a decimal comma?)"
-                raise InputError(f"{where}: {said}")
-            if len(cells) < width:
-                said = f"has {len(cells)} of {width} cells"
-                raise InputError(f"{where}: {said}; an empty one takes its comma, too")
-            yield number, cells[:width]
+            try:
+                cells = _cells(line, self.separator)
+                if any(cells[width:]):
+                    raise InputError("more values than columns (a decimal comma?)")
+                if len(cells) < width:
+                    said = f"has {len(cells)} of {width} cells"
+                    raise InputError(f"{said}; an empty one takes its comma, too")
+            except InputError as error:
+                where = f"{self.field}, line {number}"
+                raise InputError(f"{where}: {error}") from None
+            yield (
+                number,
+                list(map(_pointed, cells[:width])) if commas else cells[:width],
+            )
 
 
-def read(path: Path, field: str) -> Sheet:
-    """Read a CSV file, which `field` names in messages.
+def read(path: Path, field: str, decimal: str | None = None) -> Sheet:
+    """Read a CSV file, which `field` names in messages; its decimal sign is seen unless
+    it is given.
 
     Raises
     ------
     InputError
-        If it cannot be read, is no text in UTF-8, or has no first line with names and
-        commas.
+        If it cannot be read, is no text in UTF-8 or Latin-1, or has no first line with
+        names.
     """
-    content = _content(path, field)
+    content, encoding = _content(path, field), "utf-8-sig"
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(f"{field}: is text in UTF-16; must be in UTF-8")
     try:
-        text = content.decode().removeprefix("\ufeff")
+        content.decode()
     except UnicodeDecodeError as error:
-        number = len(_LINE_END.findall(content, 0, error.start)) + 1
-        raise InputError(f"{field}, line {number}: is not text in UTF-8") from None
-    first, line = next(_lines(text), (0, ""))
-    if not first:
+        encoding = "latin-1"
+        if _CONTROL.search(content):
+            number = content.count(b"\n", 0, error.start) + 1
+            raise InputError(f"{field}, line {number}: is not text in UTF-8") from None
+    head = list(itertools.islice(_lines(content, encoding), _TELLING_LINES))
+    if not head:
         raise InputError(f"{field}: is empty; its first line must name the columns")
-    columns = [name.strip() for name in _cells(line, f"{field}, line {first}")]
-    while len(columns) > 1 and not columns[-1]:  # commas at the end of every line
-        columns.pop()
-    if len(columns) == 1 and re.search("[;\t]", columns[0]):
-        raise InputError(f"{field}: cells must be separated by commas")
-    return Sheet(field, columns, first, text, hashlib.sha256(content).hexdigest())
+    first, lines = head[0][0], [line for _, line in head]
+    separator, sign = _dialect(lines, decimal or "")
+    if separator != "," and not decimal and not re.search(rb"\d\.\d", content):
+        sign = "," if re.search(rb"\d,\d", content) else sign
+    try:
+        columns = _names(lines[0], separator)
+    except InputError as error:
+        raise InputError(f"{field}, line {first}: {error}") from None
+    sheet = Sheet(field, columns, first, content, encoding, separator, sign)
+    if len(columns) > 1 and sheet.headless:  # as numpy.savetxt writes
+        with io.TextIOWrapper(io.BytesIO(content), encoding) as text:
+            above = "".join(itertools.islice(text, first - 1)).rpartition("#")[2]
+        names = _names(above.strip(), separator)
+        if len(names) == len(columns) and not _numbers(names, "."):
+            return replace(sheet, columns=names, first=first - 1)
+    units, next_row = (
+        _cells(line, separator) if '"' not in line else []
+        for line in (*lines[1:3], "", "")[:2]
+    )
+    are_units = any(units) and all(map(_UNIT.fullmatch, units))
+    if are_units and not _numbers(units, sign) and _numbers(next_row, sign):
+        return replace(sheet, first=head[1][0], units=tuple(units))
+    return sheet
+
+
+def _dialect(lines: list[str], decimal: str) -> tuple[str, str]:
+    """What separates cells, and the decimal sign unless it is given: the pair of them
+    with which the largest share of cells are numbers, in rows as wide as the first."""
+    best, found = 0.0, ("", "")
+    for separator, sign in itertools.product(_BETWEEN, decimal or ".,"):
+        good = total = 0
+        try:
+            width = len(_names(lines[0], separator))
+            if width < 2:
+                continue
+            for line in lines[1:] or lines:
+                cells = _cells(line, separator)
+                fits = len(cells) >= width and not any(cells[width:])
+                good += fits * _numbers(cells[:width], sign)
+                total += max(width, len(cells))
+        except InputError:
+            continue
+        if good > best * total:
+            best, found = good / total, (separator, sign)
+    if found[0]:
+        return found
+    # names alone, or a single column
+    there = [separator for separator in ",;\t" if separator in lines[0]]
+    return (there or [","])[0], decimal or "."
+
+
+def _names(line: str, separator: str) -> list[str]:
+    """Names of columns; without empty ones at the end, as spreadsheets write them."""
+    if separator == " ":  # "Time (s)" is a single name
+        line = re.sub(r"(?<=\S) (?=[(\[])", "\0", line.strip())
+        wide = bool(re.search(r"\S(?: {2,}|\t+)\S", line))  # "load point  force"
+        names = re.split(r" {2,}|\t+", line) if wide else _cells(line, " ")
+        return [name.replace("\0", " ").strip() for name in names]
+    names = [name.strip() for name in _cells(line, separator)]
+    while len(names) > 1 and not names[-1]:
+        names.pop()
+    return names
+
+
+def _numbers(cells: list[str], decimal: str) -> int:
+    """How many cells hold a finite number."""
+    cells = list(map(_pointed, cells)) if decimal == "," else cells
+    return sum(math.isfinite(value_of(cell)) for cell in cells)
+
+
+def _pointed(cell: str) -> str:
+    """A cell with a decimal point for a decimal comma; one that has a point already is
+    no number."""
+    if not _LIKE_A_NUMBER.match(cell):
+        return cell
+    mixed = " (a point among decimal commas)" * ("." in cell)
+    return cell.replace(",", ".") + mixed
+
+
+class Numbers(NamedTuple):
+    """Columns of numbers, shape (rows, columns), the lines that they stand in, and the
+    number of rows that were left out for a gap."""
+
+    values: Array
+    lines: Array
+    gaps: int
+
+
+def numbers(
+    sheet: Sheet,
+    names: Sequence[str],
+    *,
+    strict: bool = False,
+    progress: Callable[[int, float], None] = lambda done, total: None,
+) -> Numbers:
+    """Finite numbers in some columns of a file. Rows with an empty cell or NaN in one of
+    them are left out and counted, if not `strict`. Raises InputError, with the line, for any other cell
+    that holds none."""
+    where = [sheet.index(name) for name in names]
+    values, lines, gaps = array("d"), array("q"), 0
+    total = sheet.content.count(b"\n")
+    for line, cells in sheet.rows():
+        texts = [cells[index] for index in where]
+        row = list(map(value_of, texts))
+        if not all(map(math.isfinite, row)):
+            for name, text in zip(names, texts, strict=True):
+                if strict or not GAP.fullmatch(text):
+                    number(text, f"{sheet.field}, line {line}: {name}")
+            gaps += 1
+            continue
+        values.extend(row)
+        lines.append(line)
+        if not line % _ANNOUNCED_LINES:
+            progress(line, total)
+    table = np.array(values).reshape(-1, len(where))
+    return Numbers(table, np.array(lines), gaps)
 
 
 def _content(path: Path, field: str) -> bytes:
@@ -131,30 +296,43 @@ def _content(path: Path, field: str) -> bytes:
         raise InputError(f"{field}: cannot be read ({why})") from None
 
 
-def _lines(text: str) -> Iterator[tuple[int, str]]:
+def _lines(content: bytes, encoding: str) -> Iterator[tuple[int, str]]:
     """Lines but for empty ones and comments, numbered from 1."""
-    for number, line in enumerate(io.StringIO(text, newline=None), 1):
-        begin = line.lstrip()
-        if begin and not begin.startswith("#"):
-            yield number, line.removesuffix("\n")
+    with io.TextIOWrapper(io.BytesIO(content), encoding) as text:
+        for number, line in enumerate(text, 1):
+            begin = line.lstrip()
+            if begin and not _COMMENT.match(begin):
+                yield number, line.removesuffix("\n")
 
 
-def _cells(line: str, where: str) -> list[str]:
-    """The cells of a line. Raises InputError, which says `where`, for a quote that is
-    not closed."""
+@functools.cache
+def _cell_pattern(separator: str) -> re.Pattern[str]:
+    """A cell in quotes, or as it stands, and what separates it from the next."""
+    blank = r"[^\S\t]*" if separator == "\t" else r"\s*"
+    plain = rf'([^"\s{separator}][^{separator}]*|)'
+    return re.compile(rf'{blank}(?:"((?:[^"]|"")*)"{blank}|{plain})(?:{separator}|\Z)')
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    """The cells of a line. Raises InputError for a quote that is not closed."""
+    if separator == " " and '"' not in line:
+        return line.split()
     if '"' not in line:
-        return [cell.strip() for cell in line.split(",")]
+        return [cell.strip() for cell in line.split(separator)]
+    if separator == " ":
+        outside, separator = r'[ \t]+(?=(?:[^"]*"[^"]*")*[^"]*$)', "\0"
+        line = re.sub(outside, separator, line.strip())
     cells: list[str] = []
     place, more = 0, True
     while more:
-        match = _CELL.match(line, place)
+        match = _cell_pattern(separator).match(line, place)
         if match is None:
             shown = line[place:].strip()[:40]
             said = "a quote must be closed before the next comma or line end"
-            raise InputError(f"{where}: {shown!r} is no cell; {said}")
+            raise InputError(f"{shown!r} is no cell; {said}")
         quoted, plain = match.groups()
         cells.append(plain.rstrip() if quoted is None else quoted.replace('""', '"'))
-        place, more = match.end(), match[0].endswith(",")
+        place, more = match.end(), match[0].endswith(separator)
     return cells
 
 
@@ -189,7 +367,7 @@ def written(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Iterator[s
 
 
 def _name(name: str) -> str:
-    plain = name and name == name.strip() and not re.search('["#,\r\n]', name)
+    plain = name and name == name.strip() and not re.search('["#,;\t\r\n]', name)
     return name if plain else _quoted(name)
 
 

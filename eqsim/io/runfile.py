@@ -33,7 +33,7 @@ from eqsim.errors import (
 from eqsim.estimate import Averages, Estimate
 from eqsim.io import schema
 from eqsim.io.labels import described, of_trajectory
-from eqsim.io.tables import read_drive, read_thresholds
+from eqsim.io.tables import DriveRecord, RecordedDrive, read_drive, read_thresholds
 from eqsim.io.units import (
     Interface,
     Quantity,
@@ -310,6 +310,8 @@ class RunFile(Listed):
             raise InputError(f"drive.{name}: {said}")
         if programme is not None and file is not None:
             raise InputError("drive.file: not allowed with drive.programme")
+        if file is None and given["record"] is not None:
+            raise InputError("drive.record: needs drive.file, the record itself")
         alone = programme is None and file is None
         pulls = {k: v for k in ("force", "force_rate") if (v := given[k]) is not None}
         for name in ("time", *pulls) if not alone else ():
@@ -333,7 +335,7 @@ class RunFile(Listed):
                         **{k: v for k, v in stage.items() if k not in _MACHINE}
                     )
             if file is not None:
-                segments = read_drive(path_of("file", self.folder, file))
+                segments = list(self._recorded_drive().segments)
             elif alone:
                 distance, time = given["distance"], given["time"]
                 if distance is None and time is None and not pulls:
@@ -351,6 +353,20 @@ class RunFile(Listed):
                 math.inf if stall is None else stall,
                 given["rebinding"] or "unstretched",
             )
+
+    def _recorded_drive(self) -> RecordedDrive:
+        """The content of drive.file. Raises InputError."""
+        given = self.settings["drive"]
+        how = None if given["record"] is None else DriveRecord(**given["record"])
+        return read_drive(path_of("file", self.folder, given["file"]), how)
+
+    @property
+    def said(self) -> list[str]:
+        """How the rows of drive.file were read, where drive.record says how. Raises
+        InputError."""
+        if self.settings["drive"]["record"] is None:
+            return []
+        return [f"drive.file: {', '.join(self._recorded_drive().said)}"]
 
     def with_changes(self, changes: dict[str, Any]) -> "RunFile":
         """The run file of one point, without [sweep] and [fit].

@@ -17,6 +17,7 @@ from pydantic import BeforeValidator
 
 from eqsim import catalogue
 from eqsim.errors import InputError, meant, shown
+from eqsim.io.tables import DriveRecord
 from eqsim.io.units import Interface, Units
 from eqsim.laws.aging import Aging
 from eqsim.laws.delay import Delay
@@ -40,6 +41,7 @@ _DATACLASSES: dict[str, Any] = {
     "drive": Drive,
     "drive.programme": Segment,
     "drive.stage": Stage,
+    "drive.record": DriveRecord,
     "elastic": Elastic,
     "output": Output,
     "units": Units,
@@ -48,7 +50,7 @@ _DATACLASSES: dict[str, Any] = {
 # Sections that a population may have, too.
 OF_POPULATION = ("thresholds", "thermal", "delay", "aging", "newborn")
 # Sections that are there or not.
-OPTIONAL = ("elastic", "drive.stage", "thermal.catch", "thermal.slip")
+OPTIONAL = ("elastic", "drive.stage", "drive.record", "thermal.catch", "thermal.slip")
 _DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
 
 
@@ -98,6 +100,7 @@ _OTHERS = {
     "drive.stage.stiffness": _NUMBER,  # or that of the machine
     "drive.stage.machine_stiffness": _TEXT,
     "drive.stage.radiation_damping": _TEXT,
+    "drive.record.start": Key(str, str | float | None, None),
     "drive.programme.velocity": _NUMBER,
     "drive.programme.hold": _NUMBER,  # the time of a segment that does not move
     "elastic.blocks": Key(int, Annotated[Any, BeforeValidator(_whole)], ...),

@@ -3,11 +3,15 @@
 import functools
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, ParamSpec, TypeVar
 
+import numpy as np
+
 from eqsim.errors import InputError, under
 from eqsim.io import csv
+from eqsim.io.series import broken_line, read_series
 from eqsim.laws.threshold import Table
 from eqsim.model.drive import Segment
 
@@ -87,46 +91,58 @@ def _column_of_thresholds(
         yield line, cells[index]
 
 
-class _Instant(NamedTuple):
-    """A row of a recorded drive."""
+@dataclass(frozen=True)
+class DriveRecord:
+    """How a recorded drive is read: its columns, the time on its clock that becomes 0
+    ("first row" or a number; also the displacement there), and whether it is smoothed,
+    as straight lines that noise hides.
 
-    t: float
-    X: float
+    Raises InputError for columns without a name.
+    """
+
+    time: str = "t"
+    displacement: str = "X"
+    start: str | float | None = None
+    smooth: bool = False
+
+
+class RecordedDrive(NamedTuple):
+    """Segments of a recorded drive, and how its rows were read, in words."""
+
+    segments: list[Segment]
+    said: list[str]
 
 
 @remembered
-def read_drive(path: Path) -> list[Segment]:
-    """The segments of a recorded drive: a CSV file with columns `t` and `X`, piecewise
-    linear, from 0 and 0 on.
+def read_drive(path: Path, record: DriveRecord | None = None) -> RecordedDrive:
+    """The segments of a recorded drive: a CSV file with times and displacements,
+    piecewise linear. Without a `record` the columns are `t` and `X`, from 0 and 0 on,
+    and gaps and equal times are refused.
 
     Raises
     ------
     InputError
         With the line that cannot be used.
     """
-    field, segments = f"file = {path}", []
-    before: _Instant | None = None
+    field, how = f"file = {path}", record or DriveRecord()
     sheet = csv.read(path, field)
-    columns = sheet.index("t"), sheet.index("X")
-    for line, cells in sheet.rows():
-        texts = [cells[index] for index in columns]
-        here = f"{field}, line {line}"
-        now = _Instant(*map(csv.value_of, texts))
-        if not all(map(math.isfinite, now)):
-            given = ", ".join(texts)[:40]
-            raise InputError(f"{here}: {given!r} must be finite numbers")
-        if before is None:
-            if now != (0.0, 0.0):
-                said = "the first instant must be t = 0, X = 0"
-                raise InputError(f"{here}: t = {now.t:g}, X = {now.X:g}; {said}")
-        else:
-            elapsed = now.t - before.t
-            if not elapsed > 0:
-                said = f"must be later than the {before.t:g} before it"
-                raise InputError(f"{here}: t = {now.t:g} {said}")
-            with under(here):
-                segments.append(Segment((now.X - before.X) / elapsed, time=elapsed))
-        before = now
-    if not segments:
+    names, strict = [how.time, how.displacement], record is None
+    t, values, lines, said = read_series(sheet, names, how.start, strict=strict)
+    X = values[:, 0] - (0.0 if strict else values[0, 0])
+    if (t[0], X[0]) != (0.0, 0.0):
+        first = f"{field}, line {lines[0]}: {how.time} = {t[0]:g}"
+        needed = f"the first instant must be {how.time} = 0, {how.displacement} = 0"
+        cure = '; drive.record.start = "first row" shifts both'
+        raise InputError(f"{first}, {how.displacement} = {X[0]:g}: {needed}{cure}")
+    if t.size < 2:
         raise InputError(f"{field}: needs two instants at least")
-    return segments
+    velocity = np.diff(X) / np.diff(t)
+    if how.smooth:
+        t, straight = broken_line(t, X)
+        velocity = np.array([line.slope for line in straight])
+    segments = []
+    for number, (v, elapsed) in enumerate(zip(velocity, np.diff(t), strict=True), 1):
+        with under(field if how.smooth else f"{field}, line {lines[number]}"):
+            segments.append(Segment(float(v), time=float(elapsed)))
+    smoothed = f"smoothed to {len(segments)} segments" if how.smooth else "not smoothed"
+    return RecordedDrive(segments, [f"{lines.size} instants", *said, smoothed])

@@ -39,7 +39,7 @@ SWALLOWING = [
 def drive(path):
     """Instants and displacements of a recorded drive."""
     t, X = [0.0], [0.0]
-    for segment in read_drive(path):
+    for segment in read_drive(path).segments:
         t.append(t[-1] + segment.time)
         X.append(X[-1] + segment.velocity * segment.time)
     return list(zip(t, X, strict=True))
@@ -132,16 +132,18 @@ def test_comments_with_quotes_in_tables_of_thresholds_and_measurements(tmp_path)
         (b"t,X\n0,0\n1\n", "line 3: has 1 of 2 cells"),  # a file that ends in a row
         (b"t,X\n0,0\n1;2\n", "line 3: has 1 of 2 cells"),
         (b"t,X\n0,0\n1,1,234.5\n", "line 3: more values than columns"),
-        (b't,X\n0,0\n1,"1,234.5"\n', "line 3: '1, 1,234.5' must be finite numbers"),
-        (b"t,X\n0,0\n1,2 # bad\n", "line 3: '1, 2 # bad' must be finite numbers"),
-        (b"t,X\n0,0\n1,2 um\n", "line 3: '1, 2 um' must be finite numbers"),
-        (b"t,X\n0,0\n1,1_0\n", "line 3: '1, 1_0' must be finite numbers"),
-        (b"t,X\n0,0\n1,\n", "line 3: '1, ' must be finite numbers"),
-        (b"t,X\n0,0\n1,1e999\n", "line 3: '1, 1e999' must be finite numbers"),
+        (
+            b't,X\n0,0\n1,"1,234.5"\n',
+            "line 3: X = '1,234.5': must be a number; decimal commas must be points",
+        ),
+        (b"t,X\n0,0\n1,2 # bad\n", "line 3: X = '2 # bad': must be a number"),
+        (b"t,X\n0,0\n1,2 um\n", "line 3: X = '2 um': must be a number"),
+        (b"t,X\n0,0\n1,1_0\n", "line 3: X = '1_0': must be a number"),
+        (b"t,X\n0,0\n1,\n", "line 3: X = '': must be a number"),
+        (b"t,X\n0,0\n1,1e999\n", "line 3: X = 1e999: must be finite"),
         (b"t,X,t\n0,0,1\n", 'has 2 columns "t"'),
         (b"0,0\n1,2\n", 'needs a column "t"'),
-        (b"t;X\n0;0\n", "separated by commas"),
-        (b"t,X\r\n0,0\r\n\xb5,0\r\n", "line 3: is not text in UTF-8"),
+        (b"t,X\r\n0,0\r\n\xb5\0,0\r\n", "line 3: is not text in UTF-8"),
         ("t,X\n0,0\n".encode("utf-16"), "is text in UTF-16"),
     ],
 )

@@ -100,9 +100,9 @@ def test_an_export_is_a_drive_and_a_record(made, tmp_path):
         == 0
     )
     table = pd.read_parquet(made / "out" / "a" / "trajectory.parquet")
-    assert [segment.time for segment in read_drive(tmp_path / "x.csv")] == list(
-        np.diff(table["t"])
-    )
+    assert [
+        segment.time for segment in read_drive(tmp_path / "x.csv").segments
+    ] == list(np.diff(table["t"]))
     fit = {
         "record": {"file": "x.csv"},
         "noise": {"absolute": 1.0},
