@@ -31,6 +31,7 @@ _POSTERIOR = (
     "Draw from the posterior, too: posterior.parquet and a picture. "
     "Needs eqsim[posterior]."
 )
+_CHECK = "Read and draw the measurements, and say how they were understood; no fit."
 _Data = Option(metavar="DATA.csv", help="Measurements, instead of fit.data.")
 _Fitted = Option("--fit", metavar="DIR", help="Folder of the fit.", show_default=False)
 _KEY = "The key to be known better."
@@ -52,6 +53,7 @@ class FitOptions:
     compare: Annotated[Path | None, Option(metavar="OTHER.toml", help=_COMPARE)] = None
     posterior: Annotated[bool, Option("--posterior", help=_POSTERIOR)] = False
     allow_degenerate: Annotated[bool, Option("--allow-degenerate", help=_ALLOW)] = False
+    check: Annotated[bool, Option("--check", help=_CHECK)] = False
 
 
 def fit(
@@ -72,6 +74,18 @@ def fit(
     require_integer("--workers", count, 1, 1024)
     require_integer("--starts", options.starts, 1, 1000)
     storage.check_folder(out)
+    if options.check:
+        with shown.bar("reading", "lines") as progress:
+            prepared = fitting.prepare(file, options.data, True, progress)
+        name, rows = report.write_check(prepared, out, path.stem), report.understood
+        shown.report(
+            {"read": prepared.table.said, "warnings": prepared.warnings},
+            title=file.title or path.stem,
+            columns=report.DATA_COLUMNS,
+            rows=rows(prepared),
+            notes=[*prepared.table.said, *prepared.warnings, f"{out}/: {name}"],
+        )
+        return
     if options.posterior:
         require_package("posterior", "emcee", "corner")
     other = None if options.compare is None else runfile.load(options.compare)

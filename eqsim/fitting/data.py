@@ -128,7 +128,9 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Measurements:
             raise InputError(f'fit.data: column "{name}" is empty; leave it out')
     value, sigma = np.array(values).T
     at, kelvins = np.array(row_of), np.array(temperatures)
-    return Measurements(rows, at, names_of, value, sigma, names, kelvins, sheet.sha256)
+    digest, said = sheet.sha256, (f"{len(rows)} rows", sheet.said)
+    known = rows, at, names_of, value, sigma, names, kelvins, digest
+    return Measurements(*known, said=said)
 
 
 def _checked_columns(

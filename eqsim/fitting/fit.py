@@ -237,8 +237,10 @@ class FitResult:
 
 
 class Prepared(NamedTuple):
-    """A fit before the work: its section, measurements and problem, and warnings."""
+    """A fit before the work: its run file and section, measurements and problem, and
+    warnings."""
 
+    file: RunFile
     fit: Fit
     table: Measurements
     problem: Problem
@@ -270,7 +272,7 @@ def prepare(
     loose = [one for one in free if one.prior is None]
     reasons = symmetry.refused(file, loose, bool(scales), seen)
     warnings = symmetry.check(reasons, allow_degenerate)
-    return Prepared(section, table, problem_of(file, section, table), warnings)
+    return Prepared(file, section, table, problem_of(file, section, table), warnings)
 
 
 def _measured(
@@ -471,7 +473,7 @@ def _fitted(
 ) -> FitResult:
     """Least squares from every start, and profiles about the best fit; where a profile
     finds a better one, least squares again from there."""
-    section, table, problem, warnings = prepared
+    _, section, table, problem, warnings = prepared
     number = len(problem.parameters)
     total, done = len(every) + 2 * number, 0
 

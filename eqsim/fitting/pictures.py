@@ -1,6 +1,7 @@
 """Pictures of fits: data with the fitted curve and residuals, profiles, and the ladder
 of directions."""
 
+import textwrap
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -15,14 +16,16 @@ from eqsim.fitting.model import AVERAGES, Problem, SteadyForward, velocity_of
 from eqsim.fitting.posterior import SHARES
 from eqsim.fitting.profiles import LEVELS, WIDE
 from eqsim.io.labels import axis, plain
+from eqsim.model.drive import Programme
 from eqsim.numerics.tables import Array
 from eqsim.plots.panels import scores
 from eqsim.plots.style import DASHES, MARKERS, styled
 
 if TYPE_CHECKING:
-    from eqsim.fitting.fit import FitResult
+    from eqsim.fitting.fit import FitResult, Prepared
     from eqsim.fitting.posterior import Posterior
 
+_TITLE_WIDTH = 100  # characters
 # Points of a curve between neighbouring velocities.
 _BETWEEN = 8
 # Singular values of J below which, relative to the largest, a direction has no effect.
@@ -64,7 +67,7 @@ class _Abscissa(NamedTuple):
     times: bool
 
     @classmethod
-    def of(cls, result: "FitResult") -> "_Abscissa":
+    def of(cls, result: "FitResult | Prepared") -> "_Abscissa":
         """Time of a record, the velocity if it changes, else the measurement's number."""
         table, units = result.table, result.file.units
         if table.time is not None:
@@ -96,6 +99,51 @@ def fit_figure(result: "FitResult", title: str) -> Figure:
     return figure
 
 
+@styled
+def data_figure(prepared: "Prepared", title: str) -> Figure:
+    """Draw what was read: each observable against time, velocity or number of the
+    measurement; of a record also the rows before block means, in grey, and where
+    segments of the programme end."""
+    shown = [name for name in MEASURED if name in prepared.table.observable]
+    figure = Figure(figsize=(8, 1.0 + 3.6 * len(shown)))
+    panels: Any = figure.subplots(len(shown), 1, squeeze=False).ravel()
+    x = _Abscissa.of(prepared)
+    for name, panel in zip(shown, panels, strict=True):
+        here = np.array(prepared.table.observable) == name
+        _draw_data(panel, prepared, here, x)
+        panel.set(xlabel=x.label, ylabel=_OBSERVABLE_LABELS[name])
+    if prepared.table.read is not None and isinstance(prepared.file.drive, Programme):
+        t, force = prepared.table.read
+        if t.size > prepared.table.value.size:
+            panels[0].plot(t, force, color="0.8", linewidth=0.4, zorder=0)
+        for end in np.cumsum([one.duration for one in prepared.file.drive.segments]):
+            panels[0].axvline(end, color="0.6", linestyle=":", linewidth=0.7)
+    said = textwrap.fill("; ".join(prepared.table.said), _TITLE_WIDTH)
+    panels[0].set_title(plain(f"{title}\n{said}"))
+    return figure
+
+
+def _draw_data(
+    panel: Any, result: "FitResult | Prepared", here: Array, x: _Abscissa
+) -> None:
+    """Draw measurements with their errors."""
+    series, size = _series(result, here), 2 if x.times else 4
+    for number, (label, members) in enumerate(series.items()):
+        marker, color = MARKERS[number % len(MARKERS)], f"C{number % 8}"
+        data = x.values[members], result.problem.value[members]
+        style: dict[str, Any] = {"color": color, "marker": marker, "markersize": size}
+        sigma = result.table.sigma[members]
+        style |= {"linestyle": "none", "capsize": size - 2}
+        panel.errorbar(*data, sigma, label=label, **style)
+    value = result.table.value[here]
+    if np.all(value > 0) and np.ptp(np.log(value)) > np.log(8.0):
+        panel.set_yscale("log")
+    if x.velocities:
+        panel.set_xscale("log")
+    if len(series) > 1:
+        panel.legend()
+
+
 def _draw_observable(
     result: "FitResult", name: str, x: _Abscissa, top: Any, below: Any
 ) -> None:
@@ -104,31 +152,25 @@ def _draw_observable(
     here = np.array(result.table.observable) == name
     r = (problem.value - problem.given(result.best.u)) / sigma
     series, size = _series(result, here), 2 if x.times else 4
-    for number, (label, members) in enumerate(series.items()):
+    _draw_data(top, result, here, x)
+    for number, members in enumerate(series.values()):
         color = f"C{number % 8}"
         marker = MARKERS[number % len(MARKERS)]
         style: dict[str, Any] = {"color": color, "marker": marker, "markersize": size}
         style["linestyle"] = "none"
-        data = x.values[members], problem.value[members], sigma[members]
-        top.errorbar(*data, label=label, capsize=size - 2, **style)
         below.plot(x.values[members], r[members], **style)
         if x.times or x.velocities:
             dashes = DASHES[number % len(DASHES)]
             _draw_curve(top, _fitted_curve(result, members, x), color, dashes)
-    value = result.table.value[here]
-    if np.all(value > 0) and np.ptp(np.log(value)) > np.log(8.0):
-        top.set_yscale("log")
     scores(below, r[here], "residual")
     below.axhline(0, color="0.6", linewidth=0.7)
     below.set_xlabel(x.label)
     top.set(ylabel=_OBSERVABLE_LABELS[name])
-    for panel in (top, below) if x.velocities else ():
-        panel.set_xscale("log")
-    if len(series) > 1:
-        top.legend()
+    if x.velocities:
+        below.set_xscale("log")
 
 
-def _series(result: "FitResult", here: Array) -> dict[str, list[int]]:
+def _series(result: "FitResult | Prepared", here: Array) -> dict[str, list[int]]:
     """Group measurements that differ in velocity only; keys are labels of the rest."""
     table, series = result.table, dict[str, list[int]]()
     for index in np.flatnonzero(here).tolist():

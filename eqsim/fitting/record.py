@@ -69,6 +69,13 @@ class _Way(NamedTuple):
         steps = np.array([[each.duration for each in segments], moved, np.abs(moved)])
         return cls(*np.insert(np.cumsum(steps, axis=1), 0, 0.0, axis=1))
 
+    def check_end(self, time: float) -> None:
+        """Raise InputError for a record that ends after the programme."""
+        if time > self.t[-1] * (1.0 + 1e-9):
+            said = f"ends at {time:g}, after the programme, which takes {self.t[-1]:g}"
+            cure = "fit.record.start is the time of the clock at which it begins"
+            raise InputError(f"fit.record: {said}; {cure}")
+
     def segment(self, t: Array) -> Array:
         """The segment that each instant belongs to, or ends."""
         inside = np.searchsorted(self.t[1:], t * (1.0 - 1e-12))
@@ -116,10 +123,9 @@ def read_record(
         if way is None or np.any(np.diff(way.X) <= 0):
             said_of = "in which the load point always moves on; give fit.record.time"
             raise InputError(f"fit.record.displacement: needs a programme {said_of}")
-        ends = f"fit.record: ends at {t[-1]:g}, after the programme, {way.X[-1]:g}"
-        if t[-1] > way.X[-1] * (1.0 + 1e-9):
-            raise InputError(ends)
-        t = np.interp(t, way.X, way.t)
+        t = np.interp(t, way.X, way.t) * np.maximum(t / way.X[-1], 1.0)
+    if way is not None:
+        way.check_end(float(t[-1]))
     points, lines = (t, force, errors), found.lines
     long = record.blocks is None and t.size > _MOST_ROWS
     if way is not None and (long or record.blocks not in (None, "none")):
@@ -260,10 +266,7 @@ class RecordForward:
             stage = replace(programme.stage, stiffness=self.machine_stiffness / scale)
             programme = replace(programme, stage=stage)
         way = _Way.of(programme)
-        end = f"fit.record: ends at {self.time[-1]:g}, after the programme, which takes"
-        if self.time[-1] > way.t[-1] * (1.0 + 1e-9):
-            cure = "fit.record.start is the time of the clock at which it begins"
-            raise InputError(f"{end} {way.t[-1]:g}; {cure}")
+        way.check_end(self.time[-1])
         time = np.minimum(self.time, way.t[-1])
         t = np.unique(np.concatenate((way.t, time)))
         grid = Grid(t, np.interp(t, way.t, way.X), way.segment(t))

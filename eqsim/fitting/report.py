@@ -13,7 +13,7 @@ import numpy as np
 
 from eqsim.fitting import pictures
 from eqsim.fitting.estimate import DEGENERATE, different
-from eqsim.fitting.fit import REJECTED, FitResult, Goodness, derived
+from eqsim.fitting.fit import REJECTED, FitResult, Goodness, Prepared, derived
 from eqsim.fitting.model import velocity_of
 from eqsim.fitting.posterior import Posterior
 from eqsim.fitting.profiles import WIDE
@@ -21,6 +21,7 @@ from eqsim.io import storage
 from eqsim.io.runfile import at, copied
 from eqsim.plots.style import saved
 
+DATA_COLUMNS = ("", "points", "from", "to")
 KEY_COLUMNS = ("key", "estimate", "68 %", "95 %", "status")
 
 
@@ -44,6 +45,7 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
         "converged": result.converged,
         "loss": result.fit.loss,
         "measurements": result.table.value.size,
+        "read": result.table.said,
         "covariance": {"keys": result.problem.keys, "matrix": result.covariance},
         "starts": [_pick(x, "chi2", "converged", "solves", "values") for x in starts],
         "minima": [_pick(x, "chi2", "values") for x in minima],
@@ -205,6 +207,30 @@ def _toml(value: Any) -> str:
     return repr(value)  # also inf
 
 
+def understood(prepared: Prepared) -> Iterator[tuple[str, ...]]:
+    """Cells of `DATA_COLUMNS`: what was read of a file of measurements."""
+    table, at = prepared.table, [dict(row.changes) for row in prepared.table.rows]
+    columns = {name: [row[name] for row in at if name in row] for name in table.names}
+    if table.time is not None:
+        columns["time"] = list(table.time)
+    elif prepared.fit.temperature is not None:
+        columns[prepared.fit.temperature] = list(table.temperatures)
+    for name in dict.fromkeys(table.observable):
+        here = np.array(table.observable) == name
+        shown = "force" if table.time is not None else name
+        columns |= {shown: table.value[here], f"{shown}, error": table.sigma[here]}
+    for name, values in columns.items():
+        if len(values):
+            yield name, str(len(values)), f"{min(values):.6g}", f"{max(values):.6g}"
+
+
+def write_check(prepared: Prepared, out: Path, title: str) -> str:
+    """Draw what was read into a folder, and return the name of the picture."""
+    figure = pictures.data_figure(prepared, prepared.file.title or title)
+    storage.publish(out, {"data.png": saved(figure)})
+    return "data.png"
+
+
 def rows(result: FitResult) -> Iterator[tuple[str, ...]]:
     """Cells of `KEY_COLUMNS` for each key."""
     for one in result.intervals:
@@ -225,6 +251,7 @@ def _range(low: float | None, high: float | None) -> str:
 
 def remarks(result: FitResult) -> Iterator[str]:
     """Lines on the quality of the fit, on what else it determines, and what not."""
+    yield f"data: {'; '.join(result.table.said)}"
     yield quality("this model", result.goodness)
     if not result.converged:
         yield "NO START CONVERGED: these are no estimates"

@@ -69,6 +69,8 @@ def read_series(
         empty = f"has {found.gaps} rows, all with gaps" if found.gaps else "is empty"
         raise InputError(f"{sheet.field}: {empty}")
     t, said = found.values[:, 0], [sheet.said]
+    used = (sheet.columns[sheet.index(name)] for name in every)
+    said.append(f"columns {', '.join(used)}")
     if (back := np.flatnonzero(np.diff(t) < (1e-300 if strict else 0.0))).size:
         here, before = t[back[0] + 1], t[back[0]]
         where = f"{sheet.field}, line {found.lines[back[0] + 1]}"
@@ -90,7 +92,9 @@ def read_series(
     if first.size < t.size:
         said.append(f"{t.size - first.size} rows merged with others of the same time")
     if start is not None:
-        rows[:, 0] -= rows[0, 0] if isinstance(start, str) else start
+        begin = rows[0, 0] if isinstance(start, str) else start
+        rows[:, 0] -= begin
+        said.append(f"{names[0]} = {begin:.12g} is 0")
         kept = rows[:, 0] >= 0.0
         if not kept.all():
             said.append(f"{np.sum(~kept)} rows before the start left out")

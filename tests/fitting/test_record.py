@@ -294,3 +294,56 @@ def test_warm_records_have_intervals():
     sd = math.sqrt(covariance(smooth.jacobian(smooth.start))[stage, stage])
     shifted = smooth.start + 0.5 * sd * (np.arange(smooth.start.size) == stage)
     assert minimise(smooth, shifted, stage).chi2 == pytest.approx(0.25, rel=0.1, abs=0)
+
+
+def test_check_reads_and_draws(folder):
+    """4001 rows, more than a solve takes steps: block means, and no fit."""
+    times = np.linspace(0.0, 5.0, 4001)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(times.size)
+    write(folder, 1.0 - 0.2 * np.exp(-times) + noise, 7.0 + times)
+    command = "fit", str(folder / "run.toml"), "--out", str(folder / "out"), "--check"
+    refused = CliRunner().invoke(app, command)
+    assert refused.exit_code == 2
+    assert (
+        "fit.record.start is the time of the clock at which it begins" in refused.output
+    )
+    text = RUN.replace('force = "force"', 'force = "force", start = "first row"')
+    (folder / "run.toml").write_text(text)
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    for said in ("4001 rows", "t = 7 is 0", "no feature is smeared"):
+        assert said in done.output
+    assert [path.name for path in (folder / "out").iterdir()] == ["data.png"]
+    assert prepare(load(folder / "run.toml"), None, False).table.time.size < 2000
+
+
+def test_hardening_goes_with_slip(folder):
+    """Its own prediction with a trend of .2 per displacement added: with this kind free
+    chi-square has 58 degrees of freedom (p > 1e-4 on both sides), and trend and beta are
+    the true ones to 4 standard deviations; a trend per time, as fit.drift is, leaves
+    what no noise would, and another beta."""
+    file = load(folder / "run.toml")
+    exact = transient(file.ensemble, file.drive, 61)
+    X = np.interp(exact.t, [0.0, 3.0, 5.0], [0.0, 0.3, 2.3])
+    noise = 0.003 * np.random.default_rng(5).standard_normal(exact.t.size)
+    write(folder, exact.force + 0.2 * X + noise, exact.t)
+    chi2, off = {}, {}
+    for per in ("displacement", "time"):
+        content = deepcopy(file.given)
+        content["fit"]["trend"] = {"per": per}
+        content["fit"]["free"] = {
+            "aging.beta": {"bounds": [1e-3, 0.5]},
+            "fit.trend": {"bounds": [-0.5, 0.5]},
+        }
+        problem = prepare(check(content, folder), None, False).problem
+        problem = settle_steps(problem, problem.start)
+        best = minimise(problem, problem.start)
+        chi2[per] = best.chi2
+        sd = np.sqrt(np.diag(covariance(problem.jacobian(best.u))))
+        truth = {"aging.beta": math.log(0.05), "fit.trend": 0.2}
+        off[per] = np.array([truth.get(key, math.nan) for key in problem.keys])
+        off[per] = np.abs(best.u - off[per]) / sd
+    assert 25 < chi2["displacement"] < 102
+    assert np.nanmax(off["displacement"]) < 4.0
+    assert chi2["time"] > 200
+    assert off["time"][0] > 4.0
