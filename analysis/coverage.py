@@ -23,6 +23,7 @@ from scipy import stats
 
 from eqsim import Ensemble, Gamma, Thermal
 from eqsim.fitting import posterior
+from eqsim.fitting import rate_and_state as rates
 from eqsim.fitting.data import MeasuredAt, Measurements
 from eqsim.fitting.estimate import covariance, minimise
 from eqsim.fitting.fit import problem_of
@@ -163,10 +164,32 @@ def record() -> Problem:
     return replace(fit, value=fit.given(fit.start), correlation=np.full(80, RHO))
 
 
+# Rate-and-state friction along the same programme.
+RATE_AND_STATE = {"a": 0.01, "b": 0.014, "D_c": 0.08, "k": 0.3, "mu_0": 0.6}
+
+
+def rate_and_state(law: str) -> Problem:
+    """A velocity step of rate-and-state friction, with a trend per displacement: 121
+    points, exact."""
+    time = np.linspace(0.0, 5.0, 121)
+    ones, rows, row_of = np.ones(121), [MeasuredAt((), 1.0, "")], np.zeros(121, int)
+    error = 3e-4 * ones
+    table = Measurements(
+        rows, row_of, ["friction"] * 121, ones, error, [], ones, "", time
+    )
+    fit = rates.problem_of(check(tomllib.loads(RECORD)), table, law, "displacement")
+    truth = RATE_AND_STATE | {"trend": 1e-3}
+    starts = [p._replace(start=p.variable(truth[p.key])) for p in fit.parameters]
+    fit = replace(fit, parameters=starts, correlation=np.full(120, RHO))
+    return replace(fit, value=fit.given(fit.start))
+
+
 COVERED = {
     "annealed": lambda: problem(Case("annealed", 5.0, "uniform", 4.0, (1.0, 1.3))),
     "quenched sqrt": lambda: problem(Case("quenched", 5.0, "sqrt", 4.0, (1.0, 3.0))),
     "record": record,
+    "slip law": lambda: rate_and_state("slip"),
+    "aging law": lambda: rate_and_state("aging"),
 }
 
 

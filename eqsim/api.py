@@ -19,8 +19,10 @@ from eqsim.engine.steady import Steady
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, z_score
 from eqsim.fitting import fit as _fit
+from eqsim.fitting import rate_and_state as _rate_and_state
 from eqsim.fitting.fit import FitResult
 from eqsim.fitting.posterior import Posterior, posterior
+from eqsim.fitting.rate_and_state import RateAndStateFit, record_of
 from eqsim.io.runfile import RunFile, load
 from eqsim.io.units import Interface, Units
 from eqsim.laws.aging import Aging
@@ -46,6 +48,7 @@ from eqsim.master.transient import Fluctuations, Transient
 from eqsim.model.drive import Drive, Programme, Segment, Stage
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble, Population
+from eqsim.rate_and_state import RateAndState
 from eqsim.validation import Validation, validate
 from eqsim.workflows import run as _run
 from eqsim.workflows import sweep as _sweep
@@ -85,6 +88,8 @@ __all__ = [
     "Posterior",
     "Programme",
     "ProgrammeTrajectory",
+    "RateAndState",
+    "RateAndStateFit",
     "Reference",
     "Replay",
     "RunFile",
@@ -110,11 +115,13 @@ __all__ = [
     "curve",
     "elastic_trajectory",
     "fit",
+    "fit_rate_and_state",
     "fluctuations",
     "fresh_slip",
     "lifetime",
     "load",
     "posterior",
+    "record_of",
     "reference",
     "replay",
     "run",
@@ -148,5 +155,6 @@ transient = calls.accepts_run_file(_transient.transient)
 
 # these take changes of keys beside a run file
 fit = calls.accepts_changes(_fit.fit)
+fit_rate_and_state = calls.accepts_changes(_rate_and_state.fit_rate_and_state)
 run = calls.accepts_changes(_run.run)
 sweep = calls.accepts_changes(_sweep.sweep)

@@ -5,17 +5,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from typer import Exit, Option
+from typer import Argument, Exit, Option
 
 from eqsim.cli.options import Changes, Processes, RunFilePath, Shown, cores
-from eqsim.errors import InputError, require_integer, require_package
+from eqsim.errors import (
+    POSITIVE,
+    InputError,
+    require_choice,
+    require_integer,
+    require_number,
+    require_package,
+)
 from eqsim.io import storage
 from eqsim.lazy import lazily
 
 with lazily():
     from eqsim.fitting import design as designing
     from eqsim.fitting import fit as fitting
-    from eqsim.fitting import posterior, report
+    from eqsim.fitting import posterior, rate_and_state, report
     from eqsim.io import runfile
 
 _FIT_FOLDER = "Folder for fit.json, tables, pictures and the best fit's run file."
@@ -24,20 +31,44 @@ _VELOCITY_RANGE = (
     "Limits of velocities. Default: ten times beyond the velocities of the data."
 )
 _TEMPERATURE = "Limits of temperatures, in kelvin. Default: those of the data."
+RIVAL = "rate-and-state"  # in the place of the run file of another model
 _COMPARE = (
-    "Another model of the same data: its chi-square, AICc and BIC beside this one's."
+    "Another model of the same data: its chi-square, AICc and BIC beside this one's. "
+    "Of a record also rate-and-state, with both laws of its state."
 )
 _POSTERIOR = (
     "Draw from the posterior, too: posterior.parquet and a picture. "
     "Needs eqsim[posterior]."
 )
 _CHECK = "Read and draw the measurements, and say how they were understood; no fit."
+_Compare = Option(metavar="OTHER.toml|rate-and-state", help=_COMPARE)
 _Data = Option(metavar="DATA.csv", help="Measurements, instead of fit.data.")
 _Fitted = Option("--fit", metavar="DIR", help="Folder of the fit.", show_default=False)
 _KEY = "The key to be known better."
 _Key = Option("--for", metavar="KEY", help=_KEY, show_default=False)
 _Kelvin = Option(metavar="LOW,HIGH", help=_TEMPERATURE)
 _Next = Option("--next", help="Number of measurements, chosen one after the other.")
+_LAW = '"slip" (Ruina), "aging" (Dieterich) or "both" laws of the state.'
+_STIFFNESS = (
+    "Stiffness of the machine, in the record's unit per length. Default: "
+    "fit.record.machine_stiffness, else free."
+)
+_TREND = (
+    'Friction changes in proportion to the "displacement" of the load point, to '
+    '"time", or not ("none").'
+)
+_VELOCITIES = (
+    "Of a CSV file: velocities of the load point, one after the other; 0: a hold."
+)
+_AT = "Of a CSV file: when the velocity changes, in the record's time, one less."
+_COLUMNS = (
+    "Of a CSV file: names of the columns of time, force and, unless --noise is given, "
+    "standard error. Default: the first ones."
+)
+_NOISE = "Of a CSV file: standard error of every point, in quadrature to the file's."
+_RSF_FOLDER = "Folder for rate-and-state.json, its table and its picture of residuals."
+_RECORD = "CSV file of a record, or a run file with fit.record."
+_Record = Argument(metavar="RECORD", help=_RECORD, show_default=False)
 _EXPECTED = (
     "expected by the Fisher information at the best fit, for errors like those of the "
     "data"
@@ -50,7 +81,7 @@ class FitOptions:
 
     data: Annotated[Path | None, _Data] = None
     starts: Annotated[int, Option(help="Points from which least squares begin.")] = 8
-    compare: Annotated[Path | None, Option(metavar="OTHER.toml", help=_COMPARE)] = None
+    compare: Annotated[Path | None, _Compare] = None
     posterior: Annotated[bool, Option("--posterior", help=_POSTERIOR)] = False
     allow_degenerate: Annotated[bool, Option("--allow-degenerate", help=_ALLOW)] = False
     check: Annotated[bool, Option("--check", help=_CHECK)] = False
@@ -88,7 +119,11 @@ def fit(
         return
     if options.posterior:
         require_package("posterior", "emcee", "corner")
-    other = None if options.compare is None else runfile.load(options.compare)
+    rivals, other = options.compare == Path(RIVAL), None
+    if rivals and not file.fit.get("record"):
+        raise InputError(f"--compare {RIVAL}: must be of a record, fit.record")
+    if options.compare is not None and not rivals:
+        other = runfile.load(options.compare)
     with shown.bar("fitting", "fits") as progress:
         how: dict[str, Any] = {"allow_degenerate": options.allow_degenerate}
         how |= {"workers": count, "keep": out, "progress": progress}
@@ -104,17 +139,130 @@ def fit(
         files += report.write_posterior(found, sampled, out, path.stem)
         lines += report.drawn(sampled)
     data = report.summary(found, sampled)
+    columns: tuple[str, ...] = report.KEY_COLUMNS
+    cells = report.rows(found)
     if rival is not None:
         data["compare"] = {"file": str(options.compare), **rival._asdict()}
         lines.insert(1, report.quality(str(options.compare), rival))
+    elif rivals:
+        models = {"contacts": found, **_both_laws(file, options.data, found)}
+        data["compare"] = report.compared(models)
+        lines[1:1] = report.model_remarks(models)
+        files += report.write_compared(models, out, file.title or path.stem)
+        columns, cells = ("model", *columns), report.model_rows(models)
     shown.report(
         data,
         title=file.title or path.stem,
-        columns=report.KEY_COLUMNS,
-        rows=report.rows(found),
+        columns=columns,
+        rows=cells,
         notes=[*lines, f"{out}/: {', '.join(files)}"],
     )
     if found.rejected or not found.converged:
+        raise Exit(1)
+
+
+def _both_laws(
+    file: "runfile.RunFile", data: Path | None, found: "fitting.FitResult"
+) -> "dict[str, rate_and_state.RateAndStateFit]":
+    """Rate-and-state friction with both laws of its state, fitted to the record of a
+    fit of contacts, with a trend like theirs. Raises InputError."""
+    drifts = "fit.drift" in found.problem.keys
+    how: dict[str, Any] = {"data": data, "trend": "time" if drifts else "none"}
+    return {
+        f"{law} law": rate_and_state.fit_rate_and_state(file, law, **how)
+        for law in rate_and_state.LAWS
+    }
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """Options of a record of friction, and of what is fitted to it."""
+
+    law: Annotated[str, Option(help=_LAW)] = "both"
+    stiffness: Annotated[float | None, Option(help=_STIFFNESS)] = None
+    trend: Annotated[str, Option(help=_TREND)] = "displacement"
+    starts: Annotated[int, Option(help="Points from which least squares begin.")] = 8
+    velocity: Annotated[str | None, Option(metavar="V,V", help=_VELOCITIES)] = None
+    at: Annotated[str | None, Option(metavar="T", help=_AT)] = None
+    columns: Annotated[str | None, Option(metavar="TIME,FORCE", help=_COLUMNS)] = None
+    noise: Annotated[float, Option(help=_NOISE)] = 0.0
+
+    def record(self, path: Path, changes: Changes) -> "runfile.RunFile":
+        """The run file of a record: `path`, or made from the CSV file that it is.
+        Raises InputError."""
+        given = {
+            "--velocity": self.velocity,
+            "--at": self.at,
+            "--columns": self.columns,
+        }
+        if path.suffix.lower() == ".toml":
+            for option, value in given.items():
+                if value is not None:
+                    said = "only of a CSV file; a run file says it itself"
+                    raise InputError(f"{option} {value}: {said}")
+            return changes.load(path)
+        if changes.given():
+            raise InputError("--set, --seed: change a run file, and this is a record")
+        if self.velocity is None:
+            said = "is required with a CSV file: velocities of the load point, 3,10"
+            raise InputError(f"--velocity: {said}")
+        return rate_and_state.record_of(
+            path,
+            velocities=_numbers("--velocity", self.velocity),
+            at=_numbers("--at", self.at) if self.at else (),
+            columns=self.columns.split(",") if self.columns else (),
+            noise=self.noise,
+        )
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        said = "must be numbers with commas between them"
+        raise InputError(f"{option} {text}: {said}") from None
+
+
+def rsf(
+    path: Annotated[Path, _Record],
+    options: RecordOptions,
+    changes: Changes,
+    out: Annotated[Path | None, Option(help=_RSF_FOLDER)] = None,
+    workers: Processes = None,
+    *,
+    shown: Shown,
+) -> None:
+    """Fit rate-and-state friction to a record: a, b, a - b, D_c and the stiffness of the
+    machine, with intervals, beside the critical stiffness."""
+    file, title = options.record(path, changes), f"{path.stem}: rate-and-state friction"
+    count = cores() if workers is None else workers
+    if out is not None:
+        storage.check_folder(out)
+    if options.stiffness is not None:
+        require_number("--stiffness", options.stiffness, **POSITIVE)
+    require_choice("--law", options.law, ("both", *rate_and_state.LAWS))
+    laws = [law for law in rate_and_state.LAWS if options.law in ("both", law)]
+    how: dict[str, Any] = {"stiffness": options.stiffness, "trend": options.trend}
+    how |= {"starts": options.starts, "workers": count}
+    models = {}
+    for law in laws:
+        with shown.bar(f"{law} law", "fits") as progress:
+            found = rate_and_state.fit_rate_and_state(
+                file, law, progress=progress, **how
+            )
+        models[f"{law} law"] = found
+    notes = [*report.model_remarks(models)]
+    if out is not None:
+        files = report.write_compared(models, out, title)
+        notes.append(f"{out}/: {', '.join(files)}")
+    shown.report(
+        report.compared(models),
+        title=title,
+        columns=("law", *report.KEY_COLUMNS),
+        rows=report.model_rows(models),
+        notes=notes,
+    )
+    if not all(one.converged and not one.rejected for one in models.values()):
         raise Exit(1)
 
 

@@ -138,7 +138,8 @@ def complain(message: str) -> None:
 
 def typed(message: str) -> str:
     """Replace names of arguments of functions in a message by those of the options."""
-    names = r"(?<![\w.-])(rel_error|max_lives|temperature|velocity)(?= (= |was ))"
+    options = "rel_error|max_lives|temperature|velocity|at|columns|trend"
+    names = rf"(?<![\w.-])({options})(?= (= |was ))"
     return re.sub(names, lambda found: "--" + found[1].replace("_", "-"), message)
 
 

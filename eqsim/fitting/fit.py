@@ -25,7 +25,7 @@ from eqsim.fitting.model import (
     SteadyForward,
 )
 from eqsim.fitting.record import Correlation, RecordForward
-from eqsim.fitting.section import Fit, parameters_of, section_of
+from eqsim.fitting.section import Fit, Parameter, parameters_of, section_of
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile, at, opened, path_of
 from eqsim.laws.barrier import BARRIERS
@@ -154,17 +154,11 @@ class FitResult:
     @cached_property
     def intervals(self) -> list[Interval]:
         """Estimate, intervals and status of each free key, and of scales."""
-        sd, found = np.sqrt(np.diag(self.covariance)).tolist(), []
-        for one, error in zip(self.problem.parameters, sd, strict=True):
-            low, high = self.profiles[one.key]
-            status = profiles.status(low, high, one.transform)
-            ends = {
-                name: tuple(one.value_or_none(side.ends[name]) for side in (low, high))
-                for name in profiles.LEVELS
-            }
-            best = self.values[one.key]
-            found.append(Interval(one.key, best, one.transform, error, ends, status))
-        return found
+        sd, parameters = np.sqrt(np.diag(self.covariance)), self.problem.parameters
+        return [
+            interval_of(one, self.values[one.key], error, self.profiles[one.key])
+            for one, error in zip(parameters, sd.tolist(), strict=True)
+        ]
 
     @cached_property
     def warnings(self) -> list[str]:
@@ -220,10 +214,16 @@ class FitResult:
         said = [f"{one.key} {one.estimate:.4g} {one.status}" for one in self.intervals]
         said.append(f"chi-square {good.chi2:.4g} of {good.dof} degrees of freedom")
         said += ["REJECTED"] * self.rejected
-        return f"FitResult({', '.join(said)})"
+        return f"{type(self).__name__}({', '.join(said)})"
 
     def _repr_html_(self) -> str:
         return str(self.to_pandas().to_html())
+
+    @property
+    def chi2_as_given(self) -> float:
+        """Least chi-square of the starts: of a record, with its errors as they are
+        given, before residuals told their correlation."""
+        return min(one.chi2 for one in self.minima)
 
     @property
     def converged(self) -> bool:
@@ -234,6 +234,19 @@ class FitResult:
     def rejected(self) -> bool:
         """True if the best fit is too far from the data for their errors."""
         return self.goodness.p is not None and self.goodness.p < REJECTED
+
+
+def interval_of(
+    one: Parameter, best: float, sd: float, sides: list[profiles.Side]
+) -> Interval:
+    """The result for a parameter, from the two sides of its profile."""
+    ends = {
+        name: tuple(one.value_or_none(side.ends[name]) for side in sides)
+        for name in profiles.LEVELS
+    }
+    low, high = sides
+    status = profiles.status(low, high, one.transform)
+    return Interval(one.key, best, one.transform, sd, ends, status)
 
 
 class Prepared(NamedTuple):
@@ -256,7 +269,7 @@ def prepare(
     """Read and check what a fit needs. Raises InputError."""
     section = section_of(file)
     free = parameters_of(file, section)
-    table = _measured(file, section, data, progress)
+    table = measured(file, section, data, progress)
     if file.ensemble.populations:
         raise InputError("population: not allowed with [fit]")
     scales, _ = section.scales(table.sets)
@@ -275,8 +288,11 @@ def prepare(
     return Prepared(file, section, table, problem_of(file, section, table), warnings)
 
 
-def _measured(
-    file: RunFile, section: Fit, data: Path | None, progress: Progress
+def measured(
+    file: RunFile,
+    section: Fit,
+    data: Path | None,
+    progress: Progress = lambda done, total: None,
 ) -> Measurements:
     """Read the table or the record of measurements. Raises InputError."""
     field, name = "fit.data", section.data
@@ -422,7 +438,7 @@ def fit(
         unfinished = _unfinished_folder(Path(keep), file, prepared, every)
     with Workers(workers).executor() as executor:
         tasks = Tasks(executor, unfinished)
-        result = _fitted(file, prepared, every, tasks, progress)
+        result = fit_prepared(file, prepared, every, tasks, progress)
         if unfinished is not None:
             shutil.rmtree(unfinished, ignore_errors=True)
         return result
@@ -464,7 +480,7 @@ def _search(problem: Problem) -> Callable[[Problem, Array], Minimum]:
     return record.search_record if of_record else estimate.minimise
 
 
-def _fitted(
+def fit_prepared(
     file: RunFile,
     prepared: Prepared,
     every: list[Array],

@@ -2,6 +2,7 @@
 of directions."""
 
 import textwrap
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -9,13 +10,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 from scipy.interpolate import PchipInterpolator
 
+from eqsim.catalogue import LENGTH
 from eqsim.errors import require_package
 from eqsim.fitting.data import MEASURED
 from eqsim.fitting.estimate import DEGENERATE
 from eqsim.fitting.model import AVERAGES, Problem, SteadyForward, velocity_of
 from eqsim.fitting.posterior import SHARES
 from eqsim.fitting.profiles import LEVELS, WIDE
-from eqsim.io.labels import axis, plain
+from eqsim.io.labels import axis, plain, unit_text, with_unit
 from eqsim.model.drive import Programme
 from eqsim.numerics.tables import Array
 from eqsim.plots.panels import scores
@@ -216,6 +218,49 @@ def _draw_curve(panel: Any, curve: _Curve, color: str, dashes: Any) -> None:
         wide = float(np.sqrt(LEVELS[level])) * curve.sd
         style = {"color": color, "alpha": alpha, "linewidth": 0}
         panel.fill_between(curve.x, curve.y - wide, curve.y + wide, **style)
+
+
+@styled
+def compared_figure(models: "Mapping[str, FitResult]", title: str) -> Figure:
+    """Draw a record against the displacement of the load point (against time if it is
+    held) with the curves of several models, and the residuals of each below."""
+    first = next(iter(models.values()))
+    x = _along(first)
+    figure = Figure(figsize=(8, 3.6 + 1.5 * len(models)))
+    heights = [2.4, *[1.0] * len(models)]
+    top, *below = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    table, bars = first.table, {"color": "0.55", "markersize": 2, "fmt": "o"}
+    top.errorbar(x.values, table.value, table.sigma, label="record", zorder=1, **bars)
+    for number, ((name, one), panel) in enumerate(
+        zip(models.items(), below, strict=True)
+    ):
+        predicted = one.problem.solved(one.best.u).predicted
+        constant = table.value - one.problem.value  # fixed offset and drift
+        line = {"color": f"C{number}", "linestyle": DASHES[number % len(DASHES)]}
+        top.plot(x.values, predicted + constant, label=name, **line)
+        r = (one.problem.value - predicted) / table.sigma
+        marks = {"color": f"C{number}", "marker": "o", "markersize": 2}
+        panel.plot(x.values, r, linestyle="none", **marks)
+        scores(panel, r, "residual")
+        said = f"{name}: chi-square {one.chi2_as_given:.1f} of {one.goodness.dof}"
+        panel.set_title(plain(said), fontsize=8, loc="left")
+    top.set_ylabel(_OBSERVABLE_LABELS["friction"])
+    top.legend()
+    figure.axes[-1].set_xlabel(x.label)
+    top.set_title(plain(f"{title}\nbars: 1 standard error; chi-square with these"))
+    figure.align_ylabels(figure.axes)
+    return figure
+
+
+def _along(result: "FitResult") -> _Abscissa:
+    """The displacement of the load point if it always moves, else time."""
+    x, programme = _Abscissa.of(result), result.file.drive
+    assert isinstance(programme, Programme)
+    if any(segment.velocity == 0 for segment in programme.segments):
+        return x
+    unit = unit_text(result.file.units, LENGTH)
+    label = with_unit("displacement of the load point", unit)
+    return x._replace(values=programme.position(x.values), label=label)
 
 
 @styled

@@ -5,7 +5,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,18 +28,13 @@ KEY_COLUMNS = ("key", "estimate", "68 %", "95 %", "status")
 def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, Any]:
     """The content of fit.json."""
     values = result.problem.values
-    parameters = {}
-    for interval in result.intervals:
-        known = interval._asdict()
-        ends = {f"interval_{name}": x for name, x in known.pop("intervals").items()}
-        parameters[known.pop("key")] = {**known, **ends}
     starts, minima = (
         [{**minimum._asdict(), "values": values(minimum.u)} for minimum in several]
         for several in (result.minima, different(result.minima))
     )
     content = {
         "title": result.file.title,
-        "parameters": parameters,
+        "parameters": _parameters(result),
         **result.goodness._asdict(),
         "rejected": result.rejected,
         "converged": result.converged,
@@ -66,6 +61,16 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
         "versions": storage.versions(),
     }
     return content if sampled is None else {**content, "posterior": sampled.summary()}
+
+
+def _parameters(result: FitResult) -> dict[str, Any]:
+    """Estimates and intervals by key, as JSON has them."""
+    parameters = {}
+    for interval in result.intervals:
+        known = interval._asdict()
+        ends = {f"interval_{name}": x for name, x in known.pop("intervals").items()}
+        parameters[known.pop("key")] = {**known, **ends}
+    return parameters
 
 
 def _pick(given: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -260,11 +265,7 @@ def remarks(result: FitResult) -> Iterator[str]:
             f"REJECTED: p < {REJECTED:g}; values and intervals are those of a model "
             "that does not describe the data"
         )
-    if result.correlation is not None:
-        tau, effective = result.correlation
-        said = f"correlation time {tau:.3g} (whitened)" if tau else "not correlated"
-        size = result.table.value.size
-        yield f"errors of {size} points: {said}, worth {effective:.0f} independent ones"
+    yield from _correlated(result)
     minima, count = different(result.minima), len(result.minima)
     if len(minima) > 1:
         values = ", ".join(f"{minimum.chi2:.4g}" for minimum in minima[:5])
@@ -294,6 +295,15 @@ def remarks(result: FitResult) -> Iterator[str]:
     yield from result.warnings
 
 
+def _correlated(result: FitResult) -> Iterator[str]:
+    """A line on the correlation of a record's errors."""
+    if result.correlation is not None:
+        tau, effective = result.correlation
+        said = f"correlation time {tau:.3g} (whitened)" if tau else "not correlated"
+        size = result.table.value.size
+        yield f"errors of {size} points: {said}, worth {effective:.0f} independent ones"
+
+
 def drawn(sampled: Posterior) -> Iterator[str]:
     """Lines on draws from the posterior."""
     times = sampled.steps / sampled.autocorrelation
@@ -320,3 +330,59 @@ def quality(name: str, good: Goodness) -> str:
     aicc = "" if good.aicc is None else f", AICc {good.aicc:.2f}"
     fit = f"chi-square {good.chi2:.2f} of {good.dof} degrees of freedom"
     return f"{name}: {fit}, {p}{aicc}, BIC {good.bic:.2f}"
+
+
+def compared(models: Mapping[str, FitResult]) -> dict[str, Any]:
+    """What JSON says of several models of one record, by their names."""
+    return {
+        name: {
+            "parameters": _parameters(one),
+            **one.goodness._asdict(),
+            "chi2_as_given": one.chi2_as_given,
+            "rejected": one.rejected,
+            "converged": one.converged,
+            "correlation": one.correlation and one.correlation._asdict(),
+            "warnings": one.warnings,
+        }
+        for name, one in models.items()
+    }
+
+
+def model_rows(models: Mapping[str, FitResult]) -> Iterator[tuple[str, ...]]:
+    """Cells of a model's name and `KEY_COLUMNS`, for each key of several models."""
+    for name, one in models.items():
+        yield from ((name, *cells) for cells in rows(one))
+
+
+def model_remarks(models: Mapping[str, FitResult]) -> Iterator[str]:
+    """Lines on the quality of several models of one record: with its errors as given,
+    which compare, and each with the correlation of its own residuals."""
+    for name, one in models.items():
+        good = one.goodness
+        given = f"chi-square {one.chi2_as_given:.1f} of {good.dof} with errors as given"
+        whitened = (
+            "" if one.problem.correlation is None else f", {good.chi2:.1f} whitened"
+        )
+        p = "" if good.p is None else f", p = {good.p:.2g}"
+        said = "NO START CONVERGED" if not one.converged else "REJECTED"
+        verdict = f": {said}" if one.rejected or not one.converged else ""
+        yield f"{name}: {given}{whitened}{p}{verdict}"
+        yield from (f"{name}: {line}" for line in (*_correlated(one), *one.warnings))
+
+
+def write_compared(models: Mapping[str, FitResult], out: Path, title: str) -> list[str]:
+    """Write JSON, predictions and a picture of several models of one record to a folder,
+    and return the names of the files."""
+    first = next(iter(models.values()))
+    columns = {name: fitted(first)[name] for name in ("time", "measured", "sigma")}
+    for name, one in models.items():
+        both = fitted(one)
+        columns |= {f"{name}: {x}": both[x] for x in ("fitted", "residual")}
+    figure = pictures.compared_figure(models, title)
+    files = {
+        "rate-and-state.json": storage.to_json(compared(models)).encode(),
+        "rate-and-state.parquet": storage.parquet(columns, _fit_origin(first)),
+        "rate-and-state.png": saved(figure),
+    }
+    storage.publish(out, files)
+    return list(files)

@@ -330,6 +330,12 @@ class Programme:
         """True if X is found, not given: by a stage, a force or a motor."""
         return self.stage is not None or self.forced or self.motor
 
+    def position(self, t: Array) -> Array:
+        """Displacement at times `t` of what is driven: the slider, or the stage."""
+        ends = np.cumsum([0.0, *(segment.duration for segment in self.segments)])
+        moved = [math.copysign(one.path, one.velocity) for one in self.segments]
+        return np.interp(t, ends, np.cumsum([0.0, *moved]))
+
     def grid(self, points: int) -> Grid:
         """About `points` instants: equidistant along a segment that moves or whose
         force changes, at equal ratios from the 1e-5th part of a hold or creep on."""

@@ -18,6 +18,7 @@ MADE = {
     "FitResult",
     "InputError",
     "Posterior",
+    "RateAndStateFit",
     "Replay",
     "RunFile",
     "Slip",
