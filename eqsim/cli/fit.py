@@ -166,8 +166,12 @@ def _both_laws(
 ) -> "dict[str, rate_and_state.RateAndStateFit]":
     """Rate-and-state friction with both laws of its state, fitted to the record of a
     fit of contacts, with a trend like theirs. Raises InputError."""
-    drifts = "fit.drift" in found.problem.keys
-    how: dict[str, Any] = {"data": data, "trend": "time" if drifts else "none"}
+    trend, keys = "none", found.problem.keys
+    if found.fit.trend is not None and "fit.trend" in keys:
+        trend = found.fit.trend.per
+    elif "fit.drift" in keys:
+        trend = "time"
+    how: dict[str, Any] = {"data": data, "trend": trend}
     return {
         f"{law} law": rate_and_state.fit_rate_and_state(file, law, **how)
         for law in rate_and_state.LAWS

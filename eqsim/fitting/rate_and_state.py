@@ -31,12 +31,11 @@ from eqsim.fitting.fit import (
     measured,
 )
 from eqsim.fitting.model import Problem
-from eqsim.fitting.record import RecordForward, read_record
+from eqsim.fitting.record import RecordForward, programme_of, read_record
 from eqsim.fitting.section import Fit, Parameter, section_of
 from eqsim.io.csv import read
 from eqsim.io.runfile import RunFile, check, opened
 from eqsim.master.slider import TooManySteps
-from eqsim.model.drive import Programme
 from eqsim.numerics.tables import Array
 from eqsim.rate_and_state import RateAndState, StateLaw, require_programme
 from eqsim.sweeps.workers import Workers
@@ -73,10 +72,9 @@ class RateAndStateForward(RecordForward):
         return RateAndState(a, b, D_c, k, self.law)
 
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
-        law, programme = self.at(changes), self.file.drive
-        assert isinstance(programme, Programme)
+        law = self.at(changes)
         try:
-            force = law.friction(programme, self.time)
+            force = law.friction(programme_of(self.file), self.time)
         except InputError as error:  # unstable here, but a search may leave
             raise TooManySteps(str(error)) from None
         return force, np.full(force.size, _SOLVER_ERROR * law.a)
@@ -182,7 +180,7 @@ def fit_rate_and_state(
     if section.record is None:
         said = "is required; rate-and-state friction is fitted to a record"
         raise InputError(f"fit.record: {said}")
-    table = measured(file, section, None if data is None else Path(data))
+    table = measured(file, section, None if data is None else Path(data), progress)
     stiffness = stiffness or section.record.machine_stiffness
     problem = problem_of(file, table, law, trend, stiffness)
     if table.value.size <= len(problem.parameters):
@@ -208,13 +206,12 @@ def problem_of(
 ) -> Problem:
     """The fit of a record, with bounds and starts in its own units; the stiffness of the
     machine is free unless it is given. Raises InputError."""
-    programme, t = file.drive, table.time
+    programme, t = programme_of(file), table.time
     assert t is not None
-    if not isinstance(programme, Programme):
-        raise InputError("drive.programme: is required, that of the load point")
     require_programme(programme, t)
     along = {"displacement": programme.position(t), "time": t}
-    unit, length = float(np.abs(table.value).max()), float(programme.position(t[-1]))
+    unit = float(np.abs(table.value).max())
+    length = float(np.ptp(along["displacement"]))
     if not unit * length > 0:
         raise InputError("fit.record: nothing moves, or all forces are 0")
     k = unit / length

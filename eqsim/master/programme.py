@@ -33,6 +33,7 @@ from eqsim.errors import InputError
 from eqsim.estimate import Estimate
 from eqsim.laws.aging import Unaged
 from eqsim.laws.aging.base import stiffness_varies
+from eqsim.laws.barrier import Mechanical
 from eqsim.laws.delay import Fixed
 from eqsim.laws.no_thresholds import NoThresholds, has_jumps
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw
@@ -48,9 +49,10 @@ from eqsim.master.cohorts import (
     march,
 )
 from eqsim.master.fronts import Fronts, Strata, table_of_w
+from eqsim.master.idle import IDLE, means_missed, shift_by_heat
 from eqsim.master.quenched import different_steps, kappa_of
 from eqsim.master.sharp import Corners, Sharp, levels_of, sharp_instants
-from eqsim.model.drive import Grid, Programme
+from eqsim.model.drive import Drive, Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, drag_of, legs, reduced
 from eqsim.numerics.quadrature import (
@@ -199,11 +201,14 @@ def _totals_from(shares: Array) -> Array:
 
 class Course(NamedTuple):
     """A programme in units of the law's scale and of its whole time: ends of segments,
-    velocities, and the velocity of the stationary state before, 0 of a fresh start."""
+    velocities, and the velocity of the stationary state before, 0 of a fresh start;
+    and if heat is left out, by how much sooner contacts would break with it
+    (`master.idle`)."""
 
     ends: Array
     velocity: Array
     before: float
+    shift: float = 0.0
 
     def at(self, t: Array) -> Array:
         """X at times t."""
@@ -265,8 +270,9 @@ def _edges_of_steps(
 
 
 def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course]:
-    """Dimensionless contacts, and the programme in their units. Raises InputError for
-    contacts that have no reference along one."""
+    """Dimensionless contacts, and the programme in their units, without heat where that
+    changes next to nothing. Raises InputError for contacts that have no reference along
+    one."""
     if ensemble.self_consistent:
         raise InputError(
             "aging: that of annealed contacts is defined at constant velocity only, "
@@ -288,9 +294,29 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
     delay = ensemble.delay.at(ensemble.thermal.kT, speed)
     ensemble = replace(ensemble, delay=delay)
     ends = np.cumsum([segment.duration for segment in programme.segments]) / time
-    return reduced(ensemble, unit / time), Course(
-        ends, velocity * (time / unit), before * (time / unit)
-    )
+    contacts = reduced(ensemble, unit / time)
+    course = Course(ends, velocity * (time / unit), before * (time / unit))
+    if programme.forced or programme.motor:
+        return contacts, course
+    way = float(np.abs(course.velocity) @ np.diff(ends, prepend=0.0))
+    if programme.stage is not None:  # a mass may overshoot
+        way = 2.0 * (way + abs(programme.stage.preload or 0.0) / unit)
+    shift = shift_by_heat(contacts, way)
+    moving = np.abs(course.velocity[course.velocity != 0.0])
+    if contacts.delay.mean and moving.size:
+        shift *= float(moving.max() / moving.min())
+    if shift > IDLE * contacts.law.mean / contacts.law.scale:
+        return contacts, course
+    return contacts._replace(barrier=Mechanical()), course._replace(shift=shift)
+
+
+def heat_is_idle(ensemble: Ensemble, drive: Drive | Programme) -> bool:
+    """True if heat could break contacts, and is left out along a programme. Raises
+    InputError as `course_of` does."""
+    if not isinstance(drive, Programme):
+        return False
+    kinds = [kind.contacts for kind in ensemble.kinds]
+    return all(course_of(contacts, drive)[1].shift > 0.0 for contacts in kinds)
 
 
 class Numerics(NamedTuple):
@@ -537,7 +563,18 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
             rate = np.diff(finest.breaks[piece]) / np.diff(x)
             breaks[begin:end] = np.interp(inside, 0.5 * (x[1:] + x[:-1]), rate)
         first, begin = last, end
+    if course.shift:
+        X, seen = course.at(edges), np.diff(edges) > 2.0 * _LONGEST_INSTANT
+        errors += means_missed(
+            contacts, course.shift, course.ends.size,
+            np.diff(finest.breaks)[seen], np.diff(X)[seen],
+        )  # fmt: skip
     missed = np.array([np.interp(t, edges, error) for error in errors])
+    if course.shift and jumps is not None:
+        # with heat contacts break just before an instant that is asked for
+        inner = jumps[(jumps > 0) & (jumps < edges.size - 1)]
+        there = np.abs(t - edges[inner, None]) < 2.0 * _LONGEST_INSTANT
+        missed += np.abs(best[:, inner + 1] - best[:, inner - 1]) @ there
     moving = [drag_of(ensemble, g.pace) * g.sign for g in legs(ensemble, programme)]
     drag = np.array(moving)[grid.segment]
     return with_drag(grid, values, missed, drag, 0.0, unit, breaks / time)

@@ -37,6 +37,7 @@ from eqsim.master.cohorts import (
     unmade_choices,
     with_room,
 )
+from eqsim.master.idle import means_missed
 from eqsim.master.programme import (
     MOST_STEPS,
     Numerics,
@@ -452,6 +453,14 @@ def solutions_of(
     unsure = np.isnan(off) & ~np.isnan(np.array(best))
     errors = largest_nearby(np.nan_to_num(off), 5 + off.shape[1] // 50)
     errors += 1e-6 * np.abs(np.nan_to_num(best)).max(axis=1, keepdims=True)
+    numerics = task.numerics
+    if numerics.course.shift:
+        # as if each step missed F by more than its tolerance
+        shift, segments = numerics.course.shift, numerics.course.ends.size
+        moved = np.diff(best.breaks), np.diff(best.X)
+        missed = means_missed(numerics.ensemble, shift, segments, *moved)
+        errors[:3] += missed
+        errors *= 1.0 + missed[0] / (_FORCE_TOLERANCE * numerics.typical / 16.0)
     errors[unsure] = math.inf
     errors[Solution._fields.index("X"), 0] = 0.0
     return best, coarse, Solution(*errors)

@@ -13,8 +13,10 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import delay_of, drag_of, legs, pull_of
 from eqsim.paper import equation
 
-# b, or 1/b, beyond which units were probably mixed.
-_DOUBTFUL_B = 1e15
+# b below which, and above which, units were probably mixed: 1e9 is that of a metal
+# asperity at room temperature.
+_LEAST_B = 1e-15
+_LARGEST_B = 1e11
 # Distance over threshold below which they probably were.
 _DOUBTFUL_DISTANCE = 1e-4
 
@@ -189,8 +191,9 @@ def doubts(ensemble: Ensemble, drive: Drive | Programme | None) -> Iterator[str]
     if ensemble.thresholds.steps.size:
         are += "; thresholds.scale = 1e-9 turns those of a table from nm into m"
     words = BARRIERS[ensemble.thermal.barrier].b_words
-    if ensemble.thermal.active and not 1.0 / _DOUBTFUL_B <= b <= _DOUBTFUL_B and b:
-        yield f"b = {words} = {b:.3g}, energy of a contact over heat: {are}"
+    if ensemble.thermal.active and not _LEAST_B <= b <= _LARGEST_B and b:
+        idle = ", so that heat changes nothing" if b > _LARGEST_B else ""
+        yield f"b = {words} = {b:.3g}, energy of a contact over heat{idle}: {are}"
     if isinstance(drive, Drive):
         distance = drive.over(ensemble) / unit
         if distance < _DOUBTFUL_DISTANCE:

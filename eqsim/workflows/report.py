@@ -9,6 +9,7 @@ from eqsim.errors import InputError
 from eqsim.io import storage, terminal
 from eqsim.io.runfile import RunFile
 from eqsim.lazy import lazily
+from eqsim.master.programme import heat_is_idle
 from eqsim.master.transient import Transient, transient
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import Listed, Physical, tell_quantities
@@ -176,6 +177,9 @@ class SimulatedFile(FileResult, Listed):
         yield f"{speed}, {run.threads} {self.who}, seed {run.seed}"
         if self.exact.reason:
             yield f"no exact curve: {self.exact.reason}"
+        elif heat_is_idle(self.ensemble, self.drive):
+            b = max(kind.contacts.b for kind in self.ensemble.kinds)
+            yield f"heat is idle, b = {b:.3g}: exact curve at T = 0; its error covers the difference"
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.trajectory!r})"

@@ -599,6 +599,7 @@ def test_mixed_units_are_doubted(command, tmp_path):
         assert found.stderr.count("\n") == (scale == "1.0")
         if scale == "1.0":
             assert "warning: b = k x_*^2/(2 kT) = 2.72e+26" in found.stderr
+            assert "heat changes nothing" in found.stderr
             assert "thresholds.scale = 1e-9" in found.stderr
     if command == "info":
         assert call(command, path, "--quiet").stderr == ""

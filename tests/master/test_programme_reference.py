@@ -721,3 +721,36 @@ def test_errors_of_the_drag_are_in_those_of_the_force_and_its_variance():
         change = abs(getattr(moved, name) - getattr(given, name))
         share = change / getattr(given, f"{name}_error")
         assert 0.5 < share.max() < 1.0 + 1e-5
+
+
+@pytest.mark.verification
+@pytest.mark.parametrize("delay", [0.0, 1.0])
+def test_the_bound_without_heat_covers_what_heat_does(monkeypatch, delay):
+    """Hot enough for a difference beyond the errors of the solver, along a hold and a
+    reversal. A thousandth of the bound would not do."""
+    path = [(0.1, 1.0), (0.0, 1e3), (0.1, 2.0), (-0.1, 1.0)]
+    segments = [
+        Segment(v, distance=size, points=30) if v else Segment(time=size, points=10)
+        for v, size in path
+    ]
+    drive = Programme(segments, "stationary", 0.1)
+    hot = Ensemble(thermal=Thermal(1e-3), delay=Delay(delay), **UNIFORM)
+    with_heat = transient(hot, drive)
+    assert not programme.heat_is_idle(hot, drive)
+    monkeypatch.setattr(programme, "IDLE", math.inf)
+    without = transient(hot, drive)
+    assert programme.heat_is_idle(hot, drive)
+    for name in ("force", "pinned") if delay else ("force",):
+        apart = np.abs(getattr(with_heat, name) - getattr(without, name))
+        error = getattr(with_heat, f"{name}_error")
+        bound = getattr(without, f"{name}_error")
+        assert np.all(apart <= error + bound)
+        assert np.any(apart > error + 1e-3 * bound)
+
+
+def test_heat_that_is_idle_is_left_out():
+    cold, drive = Ensemble(**UNIFORM), step(0.1, 1.0, points=20)
+    idle = transient(Ensemble(thermal=Thermal(1e-13), **UNIFORM), drive)
+    assert np.array_equal(idle.force, transient(cold, drive).force)
+    for other in (Ensemble(thermal=Thermal(1e-13), disorder="annealed"), cold):
+        assert not programme.heat_is_idle(other, drive)
