@@ -1,5 +1,4 @@
-"""Linear stability of steady sliding through a spring, of contacts that neither heat
-nor age changes (derived).
+"""Linear stability of steady sliding through a spring (derived).
 
 While X = V t + x exp(p t), contacts born at a rate that varies as exp(p t) break after
 a displacement xi. To first order in x the force of all changes by Z(p) x, so that
@@ -15,7 +14,8 @@ perturbations obey, all per N k,
 where births answer to breaks as b = D Gamma, Gamma = p beta (1 - P)/(1 - D P) being the
 perturbation of breaks, and the detached share changes by Gamma (1 - D)/p. M is the
 transform of x E[k_i/k; xi > x]. Without delay D = 1 and Z = 0: no perturbation is
-amplified or damped by the contacts.
+amplified or damped by the contacts. Of contacts that heat breaks or that age,
+`master.lives` has Z.
 
 Lengths are in units of the law's scale and time is displacement, V = 1. Means over
 births are sums over Gauss-Legendre nodes in the normal deviate of the threshold. Two
@@ -31,7 +31,9 @@ from scipy import optimize
 
 from eqsim.errors import InputError
 from eqsim.estimate import Estimate
+from eqsim.laws.aging import Unaged
 from eqsim.laws.delay import DelayLaw, Fixed
+from eqsim.master.lives import Lives, lives_of
 from eqsim.master.programme import cells_of_law
 from eqsim.master.quenched import different_steps, kappa_of
 from eqsim.model.reduced import Pull, Reduced
@@ -42,18 +44,22 @@ METHOD = "characteristic equation"
 
 class Nodes(NamedTuple):
     """Resolution of a law: panels, and the range of thresholds on either side in normal
-    deviates."""
+    deviates; and panels of equally spaced ages of contacts that heat breaks or that
+    age."""
 
     panels: int
     reach: float
+    ages: int
 
 
-FINE = Nodes(128, 8.2)
+FINE = Nodes(128, 8.2, 14)
 # Fewer panels and a smaller range than FINE, so that the difference shows the error of
 # either.
-COARSE = Nodes(64, 7.4)
+COARSE = Nodes(64, 7.4, 10)
 # Fewest panels, for scans.
-SCAN = Nodes(24, 8.2)
+SCAN = Nodes(24, 8.2, 6)
+# Of these panels of thresholds so many fewer where heat blurs them.
+_BLURRED = 4
 # Coefficients of (1 - exp(-z)(1 + z))/z^2.
 _SERIES = np.array([(-1.0) ** k * (k - 1) / math.factorial(k) for k in range(2, 18)])
 # Terms that are summed at once, to bound memory.
@@ -75,6 +81,10 @@ _LAST_STEP = 1e-8
 _AT_ROOT = 1e-9
 # Largest decay per cycle of a root that is sought.
 _FASTEST_DECAY = 4.0
+
+# Most roots of the coarser nodes that are followed to those of the finer ones: rapid
+# growth within a panel of ages makes some that do not exist.
+_CANDIDATES = 12
 
 # An estimate without a value.
 NO_VALUE = Estimate(None, None, 0)
@@ -103,8 +113,8 @@ def mode(p: complex, error: float, least: float, reliable: bool = True) -> Mode:
 class Loop(NamedTuple):
     """Numbers of the characteristic equation: thresholds of newborn contacts, their
     shares and kappa, arrays (nodes,); delays; the viscous force of a detached contact;
-    beta; the damping, with that by the mean share of detached contacts; and the mass of
-    the slider."""
+    beta; the damping, with that by the mean share of detached contacts; the mass of
+    the slider; and lives of contacts that heat breaks or that age, else None."""
 
     xi: Array
     share: Array
@@ -114,6 +124,25 @@ class Loop(NamedTuple):
     beta: float
     damping: float
     mass: float
+    lives: Lives | None = None
+
+    @property
+    def travel(self) -> float:
+        """Mean travel of a contact."""
+        return self.lives.travel if self.lives else float(self.share @ self.xi)
+
+    @property
+    def scatter(self) -> float:
+        """Variance of the lengths of cycles."""
+        if self.lives:
+            return self.lives.scatter + self.delay.variance
+        square = float(self.share @ self.xi**2) - self.travel**2
+        return max(square, 0.0) + self.delay.variance
+
+    @property
+    def stiffness(self) -> float:
+        """Mean stiffness of contacts."""
+        return self.lives.stiffness if self.lives else float(self.share @ self.kappa)
 
     @property
     def cycle(self) -> float:
@@ -123,6 +152,10 @@ class Loop(NamedTuple):
     def response(self, p: Array) -> Array:
         """Z without its term in eta_l p (1 - pinned), which is in `damping`; p complex,
         not 0, shape (n,)."""
+        if self.lives:
+            numbers = self.delay, self.drag
+            found = [self.lives.response(z, *numbers) for z in p.tolist()]
+            return self.beta * np.array(found, complex)
         if p.size * self.xi.size > _TERMS_AT_ONCE and p.size > 1:
             return np.concatenate([self.response(p) for p in np.array_split(p, 2)])
         z = p[:, None] * self.xi
@@ -147,21 +180,26 @@ def loop_of(contacts: Reduced, pull: Pull, nodes: Nodes) -> Loop:
     all thresholds of a discrete law. Raises InputError for identical contacts with a
     fixed delay."""
     law, delay = contacts.law, contacts.delay
+    simple = not contacts.barrier.thermal and isinstance(contacts.aging, Unaged)
     if law.steps.size:
         xi, share, kappa = different_steps(contacts)
-        if xi.size == 1 and isinstance(delay, Fixed):
+        if xi.size == 1 and isinstance(delay, Fixed) and not contacts.barrier.thermal:
             raise InputError(
                 "thresholds: identical contacts with a fixed delay stay in step; no "
                 "steady state"
             )
     else:
-        even = np.linspace(-nodes.reach, nodes.reach, nodes.panels + 1)
+        panels = nodes.panels if simple else nodes.panels // _BLURRED
+        even = np.linspace(-nodes.reach, nodes.reach, panels + 1)
         _, inner, weights = cells_of_law(law, law.kinks, even, 8)
         xi, share = inner.ravel(), weights.ravel()
         kappa = kappa_of(contacts, xi)
-    beta = 1.0 / (float(share @ xi) + delay.mean)
-    damping = pull.damping + contacts.drag * beta * delay.mean
-    return Loop(xi, share, kappa, delay, contacts.drag, beta, damping, pull.mass)
+    lives = None if simple else lives_of(contacts, xi, share, nodes.ages)
+    drag, mass = contacts.drag, pull.mass
+    loop = Loop(xi, share, kappa, delay, drag, 1.0, pull.damping, mass, lives)
+    beta = 1.0 / (loop.travel + delay.mean)
+    damping = pull.damping + drag * beta * delay.mean
+    return loop._replace(beta=beta, damping=damping)
 
 
 class Border(NamedTuple):
@@ -178,15 +216,13 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
 
     It is infinite for a slider with a mass and no damping if the delay is fixed, as Im
     Z changes its sign whenever w tau is near a multiple of 2 pi. The scan, with the
-    nodes of `coarse`, ends where |Z| is below the greatest so far, or too small for
-    another root; for discrete thresholds without damping, whose |Z| does not fall,
-    after `_SCAN_POINTS` steps. Raises InputError if with a mass it does not end.
+    nodes of `coarse`, ends where -Re Z is below the greatest so far, or |Im Z| too
+    small for another root; for discrete thresholds without damping, whose |Z| does not
+    fall, after `_SCAN_POINTS` steps. Raises InputError if with a mass it does not end.
     """
     if loop.mass > 0.0 and loop.damping == 0.0 and isinstance(loop.delay, Fixed):
         return Border(math.inf, math.inf)
-    mean = float(coarse.share @ coarse.xi)
-    apart = max(float(coarse.share @ coarse.xi**2) - mean**2, 0.0)
-    apart += loop.delay.variance
+    mean, apart = coarse.travel, coarse.scatter
     # contacts in step lose 2 (pi width)^2 of a phase in a cycle, width being the
     # scatter of cycles over their length
     step = _PHASE * min(1.0, 20.0 * apart / loop.cycle**2 + 0.02) / loop.cycle
@@ -206,12 +242,14 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
             )
         w = np.arange(low, high + step, step)
         Z = coarse.response(1j * w)
-        size = float(np.abs(Z[w.size // 2 :]).max())
-        largest = max(largest, float(np.abs(Z).max()))
+        weakening = float(-Z.real[w.size // 2 :].min())
+        size = float(np.abs(Z.imag[w.size // 2 :]).max())
+        largest = max(largest, float(-Z.real.min()))
         phase = loop.damping * w + Z.imag
         for i in np.flatnonzero(phase[:-1] * phase[1:] < 0.0):
             best = max(best, _crossing(loop, w[i], w[i + 1]))
-        faint = loop.mass == 0.0 and size < max(best.stiffness, _FAINT * largest)
+        border = max(best.stiffness, _FAINT * largest)
+        faint = loop.mass == 0.0 and weakening <= border
         if faint or loop.damping * high > 2.0 * size:
             return best
         low, last, high = float(w[-1]), high, 2.0 * high
@@ -241,8 +279,7 @@ def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
     imaginary part >= 0, by Newton's method from a grid of guesses, with the nodes of
     `coarse`, then those of `loop`; None if all decay faster than `_FASTEST_DECAY` per
     cycle."""
-    mean = float(loop.share @ loop.xi)
-    stiff = float(loop.share @ loop.kappa)
+    mean, stiff = loop.travel, loop.stiffness
     left = -_FASTEST_DECAY / loop.cycle
     if loop.delay.variance:  # E[exp(-p delay)] of the gamma law has a pole
         left = max(left, -0.9 * loop.delay.mean / loop.delay.variance)
@@ -256,7 +293,9 @@ def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
     grid = (real[:, None] + 1j * w).ravel() + 1e-9 / loop.cycle
     roots = roots_from(coarse, grid, stiffness)
     roots = roots[(roots.real > left) & (roots.imag >= -1e-12)]
-    roots = roots_from(loop, roots[np.argsort(-roots.real)[:4]], stiffness)
+    # one guess in each group that is closer than it is worth
+    roots = roots[np.unique(np.round(roots * loop.cycle, 3), return_index=True)[1]]
+    roots = roots_from(loop, roots[np.argsort(-roots.real)[:_CANDIDATES]], stiffness)
     return complex(roots[np.argmax(roots.real)]) if roots.size else None
 
 

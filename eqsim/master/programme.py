@@ -164,7 +164,7 @@ def _strata(contacts: Reduced, strata: int) -> tuple[Array, Strata]:
     return nodes, Strata(left, right, shares, above[:, :-1].copy())
 
 
-def _tables(contacts: Reduced, cells: int) -> LawTables:
+def law_tables(contacts: Reduced, cells: int) -> LawTables:
     """Tables of contacts that heat does not break, or breaks all at the same rate."""
     if contacts.law.steps.size:
         xi, share, stiff = different_steps(contacts)
@@ -338,7 +338,7 @@ class Numerics(NamedTuple):
         stiffens = bool(stiffness_varies(aging, ensemble.springs))
         growth = Growth(aging, not isinstance(aging, Unaged), stiffens)
         if not ensemble.barrier.thermal or ensemble.annealed:
-            tables = _tables(ensemble, round(fine * TABLE_CELLS))
+            tables = law_tables(ensemble, round(fine * TABLE_CELLS))
             return PooledContacts(tables, growth, delay, NO_STEPS)
         nodes, strata = _strata(ensemble, round(fine * STRATA))
         laws = ensemble.barrier, ensemble.springs, delay

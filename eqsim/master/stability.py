@@ -3,11 +3,9 @@
 Two borders in kappa_s, the stiffness of the spring over that of all contacts. On the
 way from a fresh start friction overshoots, as contacts that began together break
 together, and falls with X: a spring softer than the steepest fall cannot follow, and
-the slider slips. In the steady state a small perturbation grows or decays. Without
-heat, aging and delay it does neither, as friction is the same for any X(t). With a
-delay only, its rate follows from the characteristic equation
-(`master.characteristic`), else from the response to a kick in mean field
-(`master.kicks`).
+the slider slips. In the steady state a small perturbation grows or decays, at a rate
+that follows from the characteristic equation (`master.characteristic`). Without heat,
+aging and delay it does neither, as friction is the same for any X(t).
 """
 
 import math
@@ -22,8 +20,10 @@ from scipy.interpolate import CubicSpline
 from eqsim.errors import InputError, require_number, under
 from eqsim.estimate import Estimate, known
 from eqsim.laws.aging import Unaged
-from eqsim.master import characteristic, kicks
+from eqsim.laws.barrier import Mechanical
+from eqsim.master import characteristic
 from eqsim.master.characteristic import NO_VALUE, Mode, mode
+from eqsim.master.idle import IDLE, shift_by_heat
 from eqsim.master.profile import SmoothLife, profile_of
 from eqsim.master.programme import course_of
 from eqsim.master.steady import reference, settled
@@ -63,6 +63,8 @@ _EVEN_SLOPE = 0.1
 # Panels of a life narrower than this in ln x surround an infinite density of
 # thresholds.
 _SINGULAR = 1e-6
+# Mean thresholds over which heat has to be idle to be left out.
+_LIVES_OF_A_CYCLE = 10.0
 # Errors by which a rate, or a stiffness, must differ from a border.
 _SURE = 2.0
 
@@ -181,21 +183,26 @@ class SteadyPull(NamedTuple):
         return Programme((Segment(self.velocity, time=time),), stage=self.stage)
 
     @property
-    def method(self) -> str:
-        """Method by which perturbations of the steady state are found."""
+    def contacts(self) -> Reduced:
+        """Dimensionless contacts, without heat where that changes next to nothing over
+        some lives."""
         contacts = reduced(self.ensemble, self.velocity)
-        if contacts.barrier.thermal or not isinstance(contacts.aging, Unaged):
-            return kicks.METHOD
-        return characteristic.METHOD if contacts.delay.mean else NEUTRAL
+        typical = contacts.law.mean / contacts.law.scale
+        if shift_by_heat(contacts, _LIVES_OF_A_CYCLE * typical) > IDLE * typical:
+            return contacts
+        return contacts._replace(barrier=Mechanical())
 
     @property
-    def quick(self) -> bool:
-        """True if the critical stiffness takes no mean-field runs."""
-        return self.method != kicks.METHOD
+    def method(self) -> str:
+        """Method by which perturbations of the steady state are found."""
+        contacts = self.contacts
+        still = isinstance(contacts.aging, Unaged) and not contacts.delay.mean
+        neutral = still and not contacts.barrier.thermal
+        return NEUTRAL if neutral else characteristic.METHOD
 
     def loops(self) -> list[characteristic.Loop]:
         """Loops of the characteristic equation: fine, coarse, and for scans."""
-        contacts = reduced(self.ensemble, self.velocity)
+        contacts = self.contacts
         with under("drive"):
             pull = pull_of(self.ensemble, self.programme())
         nodes = characteristic.FINE, characteristic.COARSE, characteristic.SCAN
@@ -223,8 +230,7 @@ def stability(
     ensemble: Ensemble,
     drive: Programme,
     *,
-    critical: bool | None = None,
-    progress: kicks.Told = lambda *_: None,
+    critical: bool = True,
 ) -> Stability:
     """Decide whether a slider slides steadily behind a spring (derived).
 
@@ -236,12 +242,8 @@ def stability(
     drive : Programme
         With a stage and one segment (velocity in length/time); where and how it starts
         does not matter.
-    critical : bool, optional
-        Whether to look for the critical stiffness of steady sliding, too; by default
-        where the characteristic equation gives it. In mean field it takes up to some
-        minutes.
-    progress : callable, optional
-        `progress(done, total)` counts kicks, or stiffnesses that were tried.
+    critical : bool
+        Whether to look for the critical stiffness of steady sliding, too.
 
     Returns
     -------
@@ -264,24 +266,19 @@ def stability(
     ('neutral', 'slips')
     """
     pulled = pulled_by(ensemble, drive)
-    slowest = _mode(pulled, progress)  # may refuse
-    fresh, border = fresh_slip(ensemble, Drive(pulled.velocity)), NO_VALUE
-    if critical or (critical is None and pulled.quick):
-        border = critical_stiffness(pulled, progress)
+    slowest = _mode(pulled)  # may refuse
+    fresh = fresh_slip(ensemble, Drive(pulled.velocity))
+    border = critical_stiffness(pulled) if critical else NO_VALUE
     return Stability(
         pulled.velocity, pulled.stage.stiffness, fresh, border, *slowest, pulled.method
     )
 
 
-def critical_stiffness(
-    pulled: SteadyPull, progress: kicks.Told = lambda *_: None
-) -> Estimate:
+def critical_stiffness(pulled: SteadyPull) -> Estimate:
     """kappa_s below which steady sliding is unstable; 0 where it never is. Raises
     InputError."""
     if pulled.method == NEUTRAL:
         return Estimate(0.0, 0.0, 0)
-    if pulled.method == kicks.METHOD:
-        return kicks.border_by_kicks(*pulled, progress)
     fine, coarse, scan = pulled.loops()
     stiffness = characteristic.border_of(fine, scan).stiffness
     if math.isinf(stiffness):
@@ -295,7 +292,7 @@ def border(
     velocities: Sequence[float],
     *,
     critical: bool = True,
-    progress: kicks.Told = lambda *_: None,
+    progress: Callable[[int, int], None] = lambda *_: None,
 ) -> dict[str, Array]:
     """Critical stiffnesses at velocities of the stage, of steady sliding only if
     `critical`, and of a fresh start, by column, with errors; NaN where there is none.
@@ -314,17 +311,16 @@ def border(
     return dict(zip(names, np.array(rows, float).reshape(-1, 5).T, strict=True))
 
 
-def _mode(pulled: SteadyPull, progress: kicks.Told) -> Mode:
+def _mode(pulled: SteadyPull) -> Mode:
     """The slowest perturbation of steady sliding."""
     if pulled.method == NEUTRAL:
         return Mode(Estimate(0.0, 0.0, 0), NO_VALUE)
-    if pulled.method == kicks.METHOD:
-        return kicks.mode_of(*pulled, progress)
     (fine, coarse, scan), stiffness = pulled.loops(), pulled.stage.stiffness
     p = characteristic.root_of(fine, scan, stiffness)
     if p is None:
         return Mode(NO_VALUE, NO_VALUE)
-    rough = [*characteristic.roots_from(coarse, np.array([p]), stiffness), p][0]
+    near = characteristic.roots_from(coarse, np.array([p]), stiffness)
+    rough = [*near.tolist(), math.inf][0]
     rate = pulled.velocity / pulled.ensemble.thresholds.scale
     size = abs(p) * rate
     return mode(p * rate, abs(p - rough) * rate + 1e-9 * size, 1e-9 * size)

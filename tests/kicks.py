@@ -1,4 +1,5 @@
-"""Response of steady sliding to a small kick of the spring, in mean field (derived).
+"""Response of steady sliding to a small kick of the spring, in mean field (derived): a
+second way to the roots of the characteristic equation.
 
 The slider starts in the stationary state, its spring stretched by a kick more than what
 balances friction, and again by as much less. Half the difference of the two
