@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import chosen
 
 from eqsim import (
     Delay,
@@ -126,7 +125,8 @@ def test_behind_a_stage():
     assert run.pinned[-1] == run.force[-1] == 0.0
 
 
-@chosen("law", ["uniform", "sqrt"], ["sqrt"])
+@pytest.mark.verification
+@pytest.mark.parametrize("law", ["uniform", "sqrt"])
 def test_a_quasi_static_stage(law):
     """Break by break, 10 ensembles of 1e4 contacts behind a spring of kappa = 1, at
     which the bundle is stable: Y = X + F(X)/kappa. Every contact breaks once, in an

@@ -9,6 +9,7 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.stats
+from cases import chosen
 from kernels import compiled
 from scipy import integrate
 
@@ -189,7 +190,7 @@ WARM = Ensemble(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("law", [GAMMA, LOGNORMAL])
+@chosen("law", [GAMMA, LOGNORMAL], [LOGNORMAL])
 def test_transients(law):
     """1e5 contacts, some 1e5 lives: |z| < 4.5, from a fresh and from a stationary
     start. Negative control: an exponential delay of the same mean, from a fresh
@@ -204,8 +205,12 @@ def test_transients(law):
     assert largest_z(other, transient(contacts, Drive(1.0, 8.0), points=81)) > 4.5
 
 
-@pytest.mark.parametrize("start", ["fresh", "stationary"])
-@pytest.mark.parametrize("law", [GAMMA, LOGNORMAL])
+HOLDS = [
+    (law, start) for law in (GAMMA, LOGNORMAL) for start in ("fresh", "stationary")
+]
+
+
+@chosen(("law", "start"), HOLDS, [(GAMMA, "stationary")])
 def test_programmes_with_a_hold(law, start):
     """There, at rest, and back, 1e5 warm contacts: |z| < 4.5. Negative control: a
     gamma delay in the place of a lognormal one, and the reverse."""
@@ -220,7 +225,7 @@ def test_programmes_with_a_hold(law, start):
         assert largest_z(trajectory(other, programme, points=61), exact) > 4.5
 
 
-@pytest.mark.parametrize("law", [GAMMA, LOGNORMAL])
+@chosen("law", [GAMMA, LOGNORMAL], [GAMMA])
 def test_behind_a_stage(law):
     """8 ensembles of 2e4 contacts, with a hold: |z| < 4.5, which the other law
     exceeds."""
