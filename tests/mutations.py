@@ -806,7 +806,7 @@ MISTAKES = [
     M("series: a gap is a number", "io/csv.py", "            gaps += 1\n            continue\n",
       "            gaps += 1\n",
       "test_variants.py::test_a_variant_is_read_or_refused"),
-    M("fits: a trend per time", "fitting/record.py", 'fit.trend.per == "time"', 'fit.trend.per != "space"',
+    M("fits: a trend per time", "fitting/record.py", 'fit.trend.per == "displacement"', 'fit.trend.per == "time"',
       "test_record.py::test_hardening_goes_with_slip"),
     M("fits: rows are not checked", "fitting/fit.py", "    _check_rows(file, table)\n", "",
       "test_fit.py::test_bad_input[velocity of 0]"),

@@ -1,8 +1,8 @@
 """Records: force against time under a programme, with errors that are correlated from
 point to point.
 
-What is measured is scale F(t) + offset + drift (t - <t>) + trend (X - <X>), with X the
-displacement of the load point, and F the mean field along the programme
+What is measured is scale F(t) + offset + drift (t - <t>) + trend X (or trend t), with X
+the displacement of the load point, and F the mean field along the programme
 (`master.slider` with a stage, `master.programme` without). The stage's stiffness is
 that of the run file, kappa_s = K/(N k), or K is given in the unit of the measured force
 over length, so that kappa_s = K/scale.
@@ -279,8 +279,9 @@ def shapes(file: RunFile, fit: Fit, t: Array) -> dict[str, Array]:
     found = {"fit.offset": np.ones(t.size), "fit.drift": t - t.mean()}
     if fit.trend is not None:
         way = _Way.of(programme_of(file))
-        along = t if fit.trend.per == "time" else np.interp(t, way.t, way.X)
-        found["fit.trend"] = along - along.mean()
+        found["fit.trend"] = t
+        if fit.trend.per == "displacement":
+            found["fit.trend"] = np.interp(t, way.t, way.X)
     return found
 
 

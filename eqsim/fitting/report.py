@@ -256,7 +256,8 @@ def _range(low: float | None, high: float | None) -> str:
 
 def remarks(result: FitResult) -> Iterator[str]:
     """Lines on the quality of the fit, on what else it determines, and what not."""
-    yield f"data: {'; '.join(result.table.said)}"
+    if result.table.time is not None:
+        yield from result.table.said
     yield quality("this model", result.goodness)
     if not result.converged:
         yield "NO START CONVERGED: these are no estimates"

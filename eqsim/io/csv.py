@@ -243,12 +243,14 @@ def _pointed(cell: str) -> str:
 
 
 class Numbers(NamedTuple):
-    """Columns of numbers, shape (rows, columns), the lines that they stand in, and the
-    number of rows that were left out for a gap."""
+    """Columns of numbers, shape (rows, columns), the lines that they stand in, the number
+    of rows that were left out for a gap, and the first number of the first column, also
+    of such a row."""
 
     values: Array
     lines: Array
     gaps: int
+    first: float
 
 
 def numbers(
@@ -262,11 +264,12 @@ def numbers(
     them are left out and counted, if not `strict`. Raises InputError, with the line, for any other cell
     that holds none."""
     where = [sheet.index(name) for name in names]
-    values, lines, gaps = array("d"), array("q"), 0
+    values, lines, gaps, first = array("d"), array("q"), 0, math.nan
     total = sheet.content.count(b"\n")
     for line, cells in sheet.rows():
         texts = [cells[index] for index in where]
         row = list(map(value_of, texts))
+        first = row[0] if first != first else first
         if not all(map(math.isfinite, row)):
             for name, text in zip(names, texts, strict=True):
                 if strict or not GAP.fullmatch(text):
@@ -278,7 +281,7 @@ def numbers(
         if not line % _ANNOUNCED_LINES:
             progress(line, total)
     table = np.array(values).reshape(-1, len(where))
-    return Numbers(table, np.array(lines), gaps)
+    return Numbers(table, np.array(lines), gaps, first)
 
 
 def _content(path: Path, field: str) -> bytes:

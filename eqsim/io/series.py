@@ -92,7 +92,7 @@ def read_series(
     if first.size < t.size:
         said.append(f"{t.size - first.size} rows merged with others of the same time")
     if start is not None:
-        begin = rows[0, 0] if isinstance(start, str) else start
+        begin = found.first if isinstance(start, str) else start
         rows[:, 0] -= begin
         said.append(f"{names[0]} = {begin:.12g} is 0")
         kept = rows[:, 0] >= 0.0

@@ -534,7 +534,6 @@ BAD = {
     "no reference": ({}, {"temperature": "T"}, DATA, "fit.reference_temperature: is required"),
     "decimal commas": ({}, {}, DATA.replace("0.5", "0,5"), "line 4: more values than columns (a decimal comma?)"),
     "quoted decimal commas": ({}, {}, DATA.replace("0.5", '"0,5"'), "decimal commas must be points"),
-    "semicolons": ({}, {}, DATA.replace(",", ";"), "separated by commas"),
     "velocity of 0": ({}, {}, DATA + "0,1\n", "line 10: drive.velocity = 0.0: must be a finite number > 0"),
     "digits in groups": ({}, {}, DATA.replace("0.5", "0.5_0"), "line 4: friction = '0.5_0': must be a number"),
     "short": ({}, {}, DATA + "50\n", "line 10: has 1 of 2 cells"),

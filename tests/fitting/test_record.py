@@ -321,7 +321,7 @@ def test_hardening_goes_with_slip(folder):
     """Its own prediction with a trend of .2 per displacement added: with this kind free
     chi-square has 58 degrees of freedom (p > 1e-4 on both sides), and trend and beta are
     the true ones to 4 standard deviations; a trend per time, as fit.drift is, leaves
-    what no noise would, and another beta."""
+    what no noise would."""
     file = load(folder / "run.toml")
     exact = transient(file.ensemble, file.drive, 61)
     X = np.interp(exact.t, [0.0, 3.0, 5.0], [0.0, 0.3, 2.3])
@@ -337,6 +337,8 @@ def test_hardening_goes_with_slip(folder):
         }
         problem = prepare(check(content, folder), None, False).problem
         problem = settle_steps(problem, problem.start)
+        forward = problem.forward.corrected(problem.changes(problem.start))
+        problem = replace(problem, forward=forward)
         best = minimise(problem, problem.start)
         chi2[per] = best.chi2
         sd = np.sqrt(np.diag(covariance(problem.jacobian(best.u))))
@@ -346,4 +348,3 @@ def test_hardening_goes_with_slip(folder):
     assert 25 < chi2["displacement"] < 102
     assert np.nanmax(off["displacement"]) < 4.0
     assert chi2["time"] > 200
-    assert off["time"][0] > 4.0

@@ -87,6 +87,9 @@ READ = {
     "equal times": (text(put(PLAIN, 3, "0.5,0.61")), NAMES, "1 rows merged"),
     "a clock from 11607.7": (
         text(table(shift=11607.7)), {**NAMES, "start": "first row"}, "5 rows"),
+    "a gap in the first row": (
+        text(put(table(shift=11607.7)[2:], 0, "time,mu", "11607.7,", "11607.7,0.6")),
+        {**NAMES, "start": "first row"}, "1 rows with gaps"),
     "a clock and a time": (
         text(put(table(shift=11607.7), 1, "11600,0.5")),
         {**NAMES, "start": 11607.7}, "1 rows before the start left out"),
