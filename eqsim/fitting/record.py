@@ -54,20 +54,20 @@ _LEAST_CORRELATION = 0.02
 
 
 class _Way(NamedTuple):
-    """Times at the ends of the segments of a programme, from 0 on, displacements there,
-    and the paths up to there."""
+    """Times at the ends of the segments of a programme, from 0 on, and displacements
+    there."""
 
     t: Array
     X: Array
-    path: Array
 
     @classmethod
     def of(cls, programme: Programme) -> "_Way":
         """The way of a programme."""
-        segments = programme.segments
-        moved = [math.copysign(each.path, each.velocity) for each in segments]
-        steps = np.array([[each.duration for each in segments], moved, np.abs(moved)])
-        return cls(*np.insert(np.cumsum(steps, axis=1), 0, 0.0, axis=1))
+        steps = [
+            (one.duration, math.copysign(one.path, one.velocity))
+            for one in programme.segments
+        ]
+        return cls(*np.cumsum([(0.0, 0.0), *steps], axis=0).T)
 
     def check_end(self, time: float) -> None:
         """Raise InputError for a record that ends after the programme."""
@@ -160,29 +160,26 @@ def _blocks(
 ) -> Blocks:
     """The blocks of a record's rows, none of them beyond a segment of the programme.
     Raises InputError."""
-    t, force = points
-    segment, given = way.segment(t), None
+    (t, force), given = points, None
     if isinstance(record.blocks, BlockSize):
-        along = t
-        if record.blocks.per == "displacement":
-            if np.any(np.diff(way.path) == 0):
-                said = "a hold has none; it must be per time"
-                raise InputError(f'fit.record.blocks: per = "displacement": {said}')
-            along = np.interp(t, way.t, way.path)
+        path = np.append(0.0, np.cumsum(np.abs(np.diff(way.X))))
+        moves = record.blocks.per == "displacement"
+        if moves and np.any(np.diff(path) == 0):
+            said = "a hold has none; it must be per time"
+            raise InputError(f'fit.record.blocks: per = "displacement": {said}')
+        along = np.interp(t, way.t, path) if moves else t
         given = np.floor(along / record.blocks.size).astype(int)
-    return blocks_of(force, segment, errors, given)
+    return blocks_of(force, way.segment(t), errors, given)
 
 
 def _words_of(blocks: Blocks, t: Array) -> str:
     """What was averaged, and how much of it is smeared."""
-    narrow, wide = np.min(blocks.rows), np.max(blocks.rows)
-    ends = np.append(t[blocks.first], t[-1])
-    said = f"{blocks.first.size} block means of {narrow} to {wide} rows"
-    said += f", at most {np.max(np.diff(ends)):.3g} long in time"
+    rows, longest = blocks.rows, np.max(np.diff(t[blocks.first], append=t[-1]))
+    said = f"{rows.size} block means of {rows.min()} to {rows.max()} rows"
     smeared = int(np.sum(~blocks.straight))
-    if not smeared:
-        return f"{said}: no feature is smeared"
-    return f"{said}: {smeared} of them smear what the record shows, make them smaller"
+    some = f"{smeared} of them smear what the record shows, make them smaller"
+    some = some if smeared else "no feature is smeared"
+    return f"{said}, at most {longest:.3g} long in time: {some}"
 
 
 class _Course(NamedTuple):

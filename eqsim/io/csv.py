@@ -51,26 +51,11 @@ _BETWEEN = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
 
 @dataclass(frozen=True)
 class Sheet:
-    """The rows of a CSV file.
-
-    Attributes
-    ----------
-    field : str
-        The key that names the file, and its path: how messages begin.
-    columns : list of str
-        Their names.
-    first : int
-        Number of the line that holds these, or units below: rows begin after it.
-    content : bytes
-        The whole file.
-    encoding : str
-        Of its text, "utf-8-sig" or "latin-1".
-    separator : str
-        What stands between cells: a comma, semicolon, tab or (any number of) blanks.
-    decimal : str
-        "." or ",".
-    units : tuple of str
-        The row of units below the names, if there is one.
+    """The rows of a CSV file, whose `content` is text in an `encoding`: the `field` (the
+    key that names the file, and its path) with which messages begin, the names of
+    `columns`, the number of the `first` line, after which rows begin (it holds the
+    names, or `units` below), the `separator` of cells, " " for any number of blanks,
+    and the `decimal` sign.
     """
 
     field: str
@@ -80,7 +65,7 @@ class Sheet:
     encoding: str = "utf-8-sig"
     separator: str = ","
     decimal: str = "."
-    units: tuple[str, ...] = ()
+    units: bool = False
 
     @property
     def sha256(self) -> str:
@@ -99,7 +84,7 @@ class Sheet:
         parts = [f"cells separated by {_BETWEEN[self.separator]}"]
         parts += ["decimal commas"] * (self.decimal == ",")
         parts += ["text in Latin-1, not UTF-8"] * (self.encoding == "latin-1")
-        parts += [f"line {self.first} holds units"] * bool(self.units)
+        parts += [f"line {self.first} holds units"] * self.units
         return ", ".join(parts)
 
     def index(self, name: str, hint: str = "") -> int:
@@ -134,10 +119,8 @@ class Sheet:
             except InputError as error:
                 where = f"{self.field}, line {number}"
                 raise InputError(f"{where}: {error}") from None
-            yield (
-                number,
-                list(map(_pointed, cells[:width])) if commas else cells[:width],
-            )
+            cells = cells[:width]
+            yield number, list(map(_pointed, cells)) if commas else cells
 
 
 def read(path: Path, field: str, decimal: str | None = None) -> Sheet:
@@ -178,13 +161,16 @@ def read(path: Path, field: str, decimal: str | None = None) -> Sheet:
         names = _names(above.strip(), separator)
         if len(names) == len(columns) and not _numbers(names, "."):
             return replace(sheet, columns=names, first=first - 1)
-    units, next_row = (
-        _cells(line, separator) if '"' not in line else []
-        for line in (*lines[1:3], "", "")[:2]
-    )
+    units, row = (line.replace('"', "").split(separator) for line in (lines * 3)[1:3])
+    units = [unit.strip() for unit in units]
     are_units = any(units) and all(map(_UNIT.fullmatch, units))
-    if are_units and not _numbers(units, sign) and _numbers(next_row, sign):
-        return replace(sheet, first=head[1][0], units=tuple(units))
+    if (
+        are_units
+        and len(lines) > 2
+        and not _numbers(units, sign)
+        and _numbers(row, sign)
+    ):
+        return replace(sheet, first=head[1][0], units=True)
     return sheet
 
 
@@ -243,9 +229,8 @@ def _pointed(cell: str) -> str:
 
 
 class Numbers(NamedTuple):
-    """Columns of numbers, shape (rows, columns), the lines that they stand in, the number
-    of rows that were left out for a gap, and the first number of the first column, also
-    of such a row."""
+    """Numbers, shape (rows, columns), their lines, the number of rows that were left out
+    for a gap, and the first number of the first column, also of such a row."""
 
     values: Array
     lines: Array
@@ -261,8 +246,8 @@ def numbers(
     progress: Callable[[int, float], None] = lambda done, total: None,
 ) -> Numbers:
     """Finite numbers in some columns of a file. Rows with an empty cell or NaN in one of
-    them are left out and counted, if not `strict`. Raises InputError, with the line, for any other cell
-    that holds none."""
+    them are left out and counted, if not `strict`. Raises InputError, with the line, for
+    any other cell that holds none."""
     where = [sheet.index(name) for name in names]
     values, lines, gaps, first = array("d"), array("q"), 0, math.nan
     total = sheet.content.count(b"\n")
@@ -280,8 +265,8 @@ def numbers(
         lines.append(line)
         if not line % _ANNOUNCED_LINES:
             progress(line, total)
-    table = np.array(values).reshape(-1, len(where))
-    return Numbers(table, np.array(lines), gaps, first)
+    rows = np.array(values).reshape(-1, len(where))
+    return Numbers(rows, np.array(lines), gaps, first)
 
 
 def _content(path: Path, field: str) -> bytes:

@@ -25,9 +25,6 @@ from eqsim.numerics.tables import Array
 _STRAIGHT = 5.0
 # A segment has so many stretches at least, of four blocks each.
 _LEAST_STRETCHES = 16
-_MOST_LEVELS = 32
-# Blocks that are made of a record at most, if its scatter allows.
-_MOST_BLOCKS = 2000
 # Growth of what a line has none of, from a stretch to one twice as long, from which on it
 # is no scatter: that of correlated errors grows by sqrt(2) at most, a curve fourfold.
 _CURVED = 2.0
@@ -115,16 +112,6 @@ class Blocks(NamedTuple):
     straight: Array
 
 
-class _Stretches(NamedTuple):
-    """Level m of each row, the largest for which its 2^m rows are straight; the standard
-    error of the mean of 2^(m - 2) rows for m = 2, 3, ...; and the variance of rows that
-    their scatter does not show."""
-
-    level: Array
-    error: Array
-    unseen: float
-
-
 class RowErrors(NamedTuple):
     """Standard errors of rows, zeros if they are not known, and that part of the error
     of a block's mean which does not depend on the number of its rows."""
@@ -137,55 +124,39 @@ def blocks_of(
     y: Array, segment: Array, errors: RowErrors, given: Array | None = None
 ) -> Blocks:
     """Blocks of rows `y` in segments (their numbers, in order): `given` by their
-    numbers, or as long as nothing is smeared, and as few as scatter allows."""
+    numbers, or as long as nothing is smeared."""
     ends = [0, *(np.flatnonzero(np.diff(segment)) + 1), y.size]
-    parts = [slice(a, b) for a, b in pairwise(ends)]
-    before = y.size + 1
-    for rougher in range(_MOST_LEVELS):
-        known = [
-            _straight(y[part], errors._replace(rows=errors.rows[part]), rougher)
-            for part in parts
-        ]
-        wide = [np.left_shift(1, np.maximum(one.level - 2, 0)) for one in known]
-        starts = np.concatenate([np.arange(w.size) % w == 0 for w in wide])
-        if given is not None:
-            starts[1:] = (np.diff(given) != 0) | (np.diff(segment) != 0)
-        first = np.flatnonzero(starts)
-        if not _MOST_BLOCKS < first.size < before:
-            break
-        before = first.size
-    count = np.diff(first, append=y.size)
-    straight = np.minimum.reduceat(np.concatenate(wide), first) >= count
-    level, error = np.log2(count).astype(int), np.empty(first.size)
-    inside = np.searchsorted(ends, first, "right") - 1
-    for index, one in enumerate(known):
-        here = inside == index
-        usable = np.minimum(level[here], one.error.size - 1)
-        scatter = one.error[usable] * np.sqrt(2.0**usable / count[here])
-        error[here] = np.sqrt(scatter**2 + one.unseen)
-    return Blocks(first, count, error, straight)
+    parts = [
+        _blocks_of_segment(
+            y[a:b],
+            errors._replace(rows=errors.rows[a:b]),
+            None if given is None else given[a:b],
+        )
+        for a, b in pairwise(ends)
+    ]
+    shifted = (
+        one._replace(first=one.first + a) for one, a in zip(parts, ends, strict=False)
+    )
+    return Blocks(*map(np.concatenate, zip(*shifted, strict=True)))
 
 
-def _straight(y: Array, known: RowErrors, rougher: int) -> _Stretches:
-    """The straight stretches of rows; scatter is taken from stretches that are longer
-    than its correlation, or from longer ones if it must be `rougher`."""
-    level, straight = np.zeros(y.size, int), np.ones(y.size // 2, bool)
+def _blocks_of_segment(y: Array, known: RowErrors, given: Array | None) -> Blocks:
+    """The blocks of a segment. Scatter is taken from stretches that are longer than its
+    correlation, where it is largest, and falls with the root of the rows from there."""
+    level, straight, errors = np.zeros(y.size, int), np.ones(y.size // 2, bool), []
     longest = max(int(math.log2(max(y.size // _LEAST_STRETCHES, 4))), 2)
     contrasts = [_contrasts(y, m) for m in range(2, longest + 1)]
     scatter = [
         float(np.median(np.abs(c))) / _MEDIAN if c.size else 0.0 for c in contrasts
     ]
     grows = [b > _CURVED * a for a, b in pairwise(scatter)]
-    noise = scatter[: grows.index(True) + 1 if True in grows else None]
-    trusted = min(int(np.argmax(noise)) + rougher, len(scatter) - 1)
-    row = _row_scatter(y, trusted + 2) if trusted else scatter[0]
+    top = int(np.argmax(scatter[: grows.index(True) + 1 if True in grows else None]))
+    row = _row_scatter(y, top + 2) if top else scatter[0]
     unseen = max(float(np.median(known.rows)) ** 2 - row**2, 0.0)
-    errors = list[float]()
     for index, both in enumerate(contrasts):
         m, count = index + 2, both.shape[1]
-        usual = scatter[index]
-        if index > trusted:
-            usual = scatter[trusted] * 2.0 ** (-0.5 * (index - trusted))
+        fall = 2.0 ** (-0.5 * max(index - top, 0))
+        usual = scatter[min(index, top)] * fall
         if not usual and count:  # most rows are equal
             usual = float(np.sqrt(np.mean(both**2)))
         most = _STRAIGHT * math.sqrt(usual**2 + unseen + known.noise**2)
@@ -198,9 +169,17 @@ def _straight(y: Array, known: RowErrors, rougher: int) -> _Stretches:
         level[: count << m][np.repeat(straight, 1 << m)] = m
         accepted = both[:, straight & np.all(np.abs(both) <= _STRAIGHT * usual, axis=0)]
         seen = float(np.sqrt(np.mean(accepted**2))) if accepted.size >= 16 else 0.0
-        errors.append(max(usual, seen))
-    errors[:trusted] = [row] * len(errors[:trusted])
-    return _Stretches(level, np.maximum.accumulate(errors[::-1])[::-1], unseen)
+        errors.append(row if index < top else max(usual, seen))
+    wide = np.left_shift(1, np.maximum(level - 2, 0))
+    starts = np.arange(y.size) % wide == 0
+    if given is not None:
+        starts = np.diff(given, prepend=given[0] - 1) != 0
+    first = np.flatnonzero(starts)
+    rows = np.diff(first, append=y.size)
+    usable = np.minimum(np.log2(rows).astype(int), len(errors) - 1)
+    error = np.maximum.accumulate(errors[::-1])[::-1][usable]
+    error = np.sqrt(error**2 * 2.0**usable / rows + unseen)
+    return Blocks(first, rows, error, np.minimum.reduceat(wide, first) >= rows)
 
 
 def _row_scatter(y: Array, m: int) -> float:
@@ -221,60 +200,39 @@ def _contrasts(y: Array, m: int) -> Array:
     return np.asarray(shapes @ quarters.mean(axis=2).T)
 
 
-class Line(NamedTuple):
-    """A straight line: its slope, the standard error of that, and its value at 0."""
+class Lines(NamedTuple):
+    """Straight lines one after the other: where they begin and end, and their slopes."""
 
-    slope: float
-    error: float
-    level: float
+    knots: Array
+    slopes: Array
 
 
-def broken_line(t: Array, y: Array) -> tuple[Array, list[Line]]:
-    """The lines that noisy rows follow one after the other, and the instants at which
-    they begin and end. A slope within 3 standard errors of 0 is 0."""
+def broken_line(t: Array, y: Array) -> Lines:
+    """The lines that noisy rows follow. A slope within 3 standard errors of 0 is 0."""
     blocks = blocks_of(y, np.zeros(y.size, int), RowErrors(np.zeros(y.size)))
     x, value = means(t, blocks), means(y, blocks)
-    error = np.maximum(blocks.error, _ROUNDING * np.ptp(y))
+    weight = 1.0 / np.maximum(blocks.error, _ROUNDING * np.ptp(y))
 
-    def line(a: int, b: int) -> tuple[Line, float]:
-        """The best line through some block means, and the largest residual."""
-        weight = error[a:b] ** -2.0
-        mean_x, mean_y = np.average(
-            np.array([x, value])[:, a:b], axis=1, weights=weight
-        )
-        off = x[a:b] - mean_x
-        square = float(weight @ off**2)
-        slope = float(weight @ (off * value[a:b])) / square if square else 0.0
-        found = Line(slope, square**-0.5 if square else 0.0, mean_y - slope * mean_x)
-        residual = (value[a:b] - found.level - slope * x[a:b]) / error[a:b]
-        return found, float(np.max(np.abs(residual)))
+    def line(a: int, b: int) -> tuple[Array, Array]:
+        """Coefficients of the best line through block means, and their covariance."""
+        weights = weight[a:b]
+        return np.polyfit(x[a:b], value[a:b], 1, w=weights, cov="unscaled")
 
-    pending, ends = [(0, x.size)], {0, x.size}
-    while pending:
-        a, b = pending.pop()
-        if b - a > 2 and line(a, b)[1] > _STRAIGHT:
-            chord = np.interp(x[a:b], x[[a, b - 1]], value[[a, b - 1]])
-            middle = a + 1 + int(np.argmax(np.abs(value[a:b] - chord)[1:-1]))
-            ends.add(middle)
-            pending += [(a, middle), (middle, b)]
     cuts = [0]
-    for end in sorted(ends)[1:-1]:  # some are not needed
-        later = min(one for one in ends if one > end)
-        if line(cuts[-1], later)[1] > _STRAIGHT:
-            cuts.append(end)
-    cuts.append(x.size)
-    lines = [line(a, b)[0] for a, b in pairwise(cuts)]
-    lines = [
-        one._replace(slope=one.slope * (abs(one.slope) > 3 * one.error))
-        for one in lines
-    ]
+    for end in range(3, x.size):
+        here = slice(cuts[-1], end)
+        best, _ = line(cuts[-1], end)
+        off = (value[here] - np.polyval(best, x[here])) * weight[here]
+        if end - cuts[-1] > 2 and np.abs(off).max() > _STRAIGHT:
+            cuts.append(end - 1)
+    lines = [line(a, b) for a, b in pairwise([*cuts, x.size])]
+    slopes = [best[0] * (abs(best[0]) > 3.0 * cov[0, 0] ** 0.5) for best, cov in lines]
     knots = [t[0]]
-    for end, (one, other) in zip(cuts[1:-1], pairwise(lines), strict=True):
-        steeper = other.slope - one.slope
-        cross = (one.level - other.level) / steeper if steeper else math.inf
-        low, high = x[max(end - 2, 0)], x[min(end + 1, x.size - 1)]
-        knots.append(cross if low < cross < high else 0.5 * (x[end - 1] + x[end]))
-    return np.array([*knots, t[-1]]), lines
+    for cut, ((one, _), (other, _)) in zip(cuts[1:], pairwise(lines), strict=True):
+        low, high = knots[-1], x[min(cut + 1, x.size - 1)]
+        cross = (one[1] - other[1]) / (other[0] - one[0])
+        knots.append(cross if low < cross < high else 0.5 * (x[cut - 1] + x[cut]))
+    return Lines(np.array([*knots, t[-1]]), np.array(slopes))
 
 
 def means(x: Array, blocks: Blocks) -> Array:

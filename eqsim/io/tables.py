@@ -138,8 +138,7 @@ def read_drive(path: Path, record: DriveRecord | None = None) -> RecordedDrive:
         raise InputError(f"{field}: needs two instants at least")
     velocity = np.diff(X) / np.diff(t)
     if how.smooth:
-        t, straight = broken_line(t, X)
-        velocity = np.array([line.slope for line in straight])
+        t, velocity = broken_line(t, X)
     segments = []
     for number, (v, elapsed) in enumerate(zip(velocity, np.diff(t), strict=True), 1):
         with under(field if how.smooth else f"{field}, line {lines[number]}"):
