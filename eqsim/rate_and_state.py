@@ -132,7 +132,7 @@ class RateAndState:
         upto[-1] = t.size
         state, courses, begin, done = np.zeros(2), [], 0.0, 0
         for segment, end, last in zip(programme.segments, ends, upto, strict=True):
-            there = np.clip(t[done:last], begin, end) - begin
+            there = np.clip(t[done:last] - begin, 0.0, segment.duration)
             grid = np.concatenate(([0.0], there, [segment.duration]))
             course = self._course(state, grid, first, segment.velocity)
             courses.append(course[1:-1])

@@ -146,7 +146,7 @@ def fit(
         lines.insert(1, report.quality(str(options.compare), rival))
     elif rivals:
         models = {"contacts": found, **_both_laws(file, options.data, found)}
-        data["compare"] = report.compared(models)
+        data["compare"] = report.summaries(models)
         lines[1:1] = report.model_remarks(models)
         files += report.write_compared(models, out, file.title or path.stem)
         columns, cells = ("model", *columns), report.model_rows(models)
@@ -260,7 +260,7 @@ def rsf(
         files = report.write_compared(models, out, title)
         notes.append(f"{out}/: {', '.join(files)}")
     shown.report(
-        report.compared(models),
+        report.summaries(models),
         title=title,
         columns=("law", *report.KEY_COLUMNS),
         rows=report.model_rows(models),

@@ -160,6 +160,35 @@ class FitResult:
             for one, error in zip(parameters, sd.tolist(), strict=True)
         ]
 
+    @property
+    def derived(self) -> dict[str, float]:
+        """Groups of the best fit: F0 = N k x_* (scale times x_*), v0 = omega x_*, b, v_* of
+        annealed contacts, and where the section gives an area or a normal stress, contacts
+        per area and their spacing."""
+        ensemble = at(self.file, self.changes).ensemble
+        thermal, unit = ensemble.thermal, ensemble.thresholds.scale
+        scales, scale = self.fit.scales(self.table.sets)
+        if scales:
+            scale = self.values[scales[0].key]
+        groups = {"F0 = N k x_*": scale * unit}
+        if thermal.kT > 0:
+            kelvin = self.file.units.kelvin(thermal.kT)
+            if kelvin is not None:
+                groups["T of kT (K)"] = kelvin
+            groups["v0 = omega x_*"] = thermal.attempt_frequency * unit
+            groups["b = k x_*^2/(2 kT)"] = ensemble.b
+        elif thermal.active:
+            groups[f"b = {BARRIERS[thermal.barrier].b_words}"] = ensemble.b
+        if thermal.active and ensemble.disorder == "annealed":
+            groups["v_*"] = ensemble.crossover_velocity
+        area, stress = self.fit.area, self.fit.normal_stress
+        per_area = 1.0 / area if area is not None else stress
+        if per_area is not None:
+            density = scale / ensemble.stiffness * per_area
+            groups["contacts per area"] = density
+            groups["spacing of contacts"] = 1.0 / math.sqrt(density)
+        return {name: float(value) for name, value in groups.items()}
+
     @cached_property
     def warnings(self) -> list[str]:
         """Warnings from before the fit, and doubts about its numbers."""
@@ -438,7 +467,7 @@ def fit(
         unfinished = _unfinished_folder(Path(keep), file, prepared, every)
     with Workers(workers).executor() as executor:
         tasks = Tasks(executor, unfinished)
-        result = fit_prepared(file, prepared, every, tasks, progress)
+        result = fit_prepared(prepared, every, tasks, progress)
         if unfinished is not None:
             shutil.rmtree(unfinished, ignore_errors=True)
         return result
@@ -481,15 +510,11 @@ def _search(problem: Problem) -> Callable[[Problem, Array], Minimum]:
 
 
 def fit_prepared(
-    file: RunFile,
-    prepared: Prepared,
-    every: list[Array],
-    tasks: Tasks,
-    progress: Progress,
+    prepared: Prepared, every: list[Array], tasks: Tasks, progress: Progress
 ) -> FitResult:
     """Least squares from every start, and profiles about the best fit; where a profile
     finds a better one, least squares again from there."""
-    _, section, table, problem, warnings = prepared
+    file, section, table, problem, warnings = prepared
     number = len(problem.parameters)
     total, done = len(every) + 2 * number, 0
 
@@ -548,35 +573,6 @@ def goodness(problem: Problem, u: Array) -> Goodness:
     aicc = deviance + 2 * k + 2 * k * (k + 1) / (n - k - 1) if n > k + 1 else None
     p = float(stats.chi2.sf(chi2, dof)) if dof > 0 else None
     return Goodness(chi2, dof, p, deviance, aicc, deviance + k * math.log(n))
-
-
-def derived(result: FitResult) -> dict[str, float]:
-    """Groups of the best fit: F0 = N k x_* (scale times x_*), v0 = omega x_*, b, v_* of
-    annealed contacts, and where the section gives an area or a normal stress, contacts
-    per area and their spacing."""
-    ensemble = at(result.file, result.changes).ensemble
-    thermal, unit = ensemble.thermal, ensemble.thresholds.scale
-    scales, scale = result.fit.scales(result.table.sets)
-    if scales:
-        scale = result.values[scales[0].key]
-    groups = {"F0 = N k x_*": scale * unit}
-    if thermal.kT > 0:
-        kelvin = result.file.units.kelvin(thermal.kT)
-        if kelvin is not None:
-            groups["T of kT (K)"] = kelvin
-        groups["v0 = omega x_*"] = thermal.attempt_frequency * unit
-        groups["b = k x_*^2/(2 kT)"] = ensemble.b
-    elif thermal.active:
-        groups[f"b = {BARRIERS[thermal.barrier].b_words}"] = ensemble.b
-    if thermal.active and ensemble.disorder == "annealed":
-        groups["v_*"] = ensemble.crossover_velocity
-    area, stress = result.fit.area, result.fit.normal_stress
-    per_area = 1.0 / area if area is not None else stress
-    if per_area is not None:
-        density = scale / ensemble.stiffness * per_area
-        groups["contacts per area"] = density
-        groups["spacing of contacts"] = 1.0 / math.sqrt(density)
-    return {name: float(value) for name, value in groups.items()}
 
 
 def compared(result: FitResult, other: RunFile, starts: int) -> Goodness:

@@ -106,6 +106,12 @@ class RateAndStateFit(FitResult):
         law = self.problem.forward.at(self.values)
         return replace(law, mu_0=self.values["mu_0"])
 
+    @property
+    def derived(self) -> dict[str, float]:
+        """The stiffness of the machine over the critical one, where there is one."""
+        k, critical = self.law.stiffness, self.law.critical_stiffness
+        return {"k over critical": k / critical} if critical > 0 else {}
+
     @cached_property
     def intervals(self) -> list[Interval]:
         return [*super().intervals, *self.differences]
@@ -191,7 +197,7 @@ def fit_rate_and_state(
     prepared = Prepared(file, section, table, problem, [])
     with Workers(workers).executor() as executor:
         tasks = estimate.Tasks(executor)
-        found = fit_prepared(file, prepared, every, tasks, progress)
+        found = fit_prepared(prepared, every, tasks, progress)
     differences = [_difference(found, key) for key in (DIFFERENCE, CRITICAL)]
     fields = {one.name: getattr(found, one.name) for one in dataclasses.fields(found)}
     return RateAndStateFit(**fields, differences=differences)

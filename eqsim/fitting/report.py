@@ -13,7 +13,7 @@ import numpy as np
 
 from eqsim.fitting import pictures
 from eqsim.fitting.estimate import DEGENERATE, different
-from eqsim.fitting.fit import REJECTED, FitResult, Goodness, Prepared, derived
+from eqsim.fitting.fit import REJECTED, FitResult, Goodness, Prepared
 from eqsim.fitting.model import velocity_of
 from eqsim.fitting.posterior import Posterior
 from eqsim.fitting.profiles import WIDE
@@ -28,14 +28,20 @@ KEY_COLUMNS = ("key", "estimate", "68 %", "95 %", "status")
 def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, Any]:
     """The content of fit.json."""
     values = result.problem.values
+    parameters = {}
+    for interval in result.intervals:
+        known = interval._asdict()
+        ends = {f"interval_{name}": x for name, x in known.pop("intervals").items()}
+        parameters[known.pop("key")] = {**known, **ends}
     starts, minima = (
         [{**minimum._asdict(), "values": values(minimum.u)} for minimum in several]
         for several in (result.minima, different(result.minima))
     )
     content = {
         "title": result.file.title,
-        "parameters": _parameters(result),
+        "parameters": parameters,
         **result.goodness._asdict(),
+        "chi2_as_given": result.chi2_as_given,
         "rejected": result.rejected,
         "converged": result.converged,
         "loss": result.fit.loss,
@@ -52,7 +58,7 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
             }
             for rung in result.ladder
         ],
-        "derived": derived(result),
+        "derived": result.derived,
         "correlation": result.correlation and result.correlation._asdict(),
         "noise_floor": result.floor,
         "warnings": result.warnings,
@@ -61,16 +67,6 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
         "versions": storage.versions(),
     }
     return content if sampled is None else {**content, "posterior": sampled.summary()}
-
-
-def _parameters(result: FitResult) -> dict[str, Any]:
-    """Estimates and intervals by key, as JSON has them."""
-    parameters = {}
-    for interval in result.intervals:
-        known = interval._asdict()
-        ends = {f"interval_{name}": x for name, x in known.pop("intervals").items()}
-        parameters[known.pop("key")] = {**known, **ends}
-    return parameters
 
 
 def _pick(given: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -291,7 +287,7 @@ def remarks(result: FitResult) -> Iterator[str]:
             "predictions within the range of the data are good all the same; beyond it "
             "they are not"
         )
-    for name, value in derived(result).items():
+    for name, value in result.derived.items():
         yield f"{name} = {value:.4g}"
     yield from result.warnings
 
@@ -333,20 +329,9 @@ def quality(name: str, good: Goodness) -> str:
     return f"{name}: {fit}, {p}{aicc}, BIC {good.bic:.2f}"
 
 
-def compared(models: Mapping[str, FitResult]) -> dict[str, Any]:
-    """What JSON says of several models of one record, by their names."""
-    return {
-        name: {
-            "parameters": _parameters(one),
-            **one.goodness._asdict(),
-            "chi2_as_given": one.chi2_as_given,
-            "rejected": one.rejected,
-            "converged": one.converged,
-            "correlation": one.correlation and one.correlation._asdict(),
-            "warnings": one.warnings,
-        }
-        for name, one in models.items()
-    }
+def summaries(models: Mapping[str, FitResult]) -> dict[str, Any]:
+    """The content of rate-and-state.json: several models of one record, by name."""
+    return {name: summary(one) for name, one in models.items()}
 
 
 def model_rows(models: Mapping[str, FitResult]) -> Iterator[tuple[str, ...]]:
@@ -381,7 +366,7 @@ def write_compared(models: Mapping[str, FitResult], out: Path, title: str) -> li
         columns |= {f"{name}: {x}": both[x] for x in ("fitted", "residual")}
     figure = pictures.compared_figure(models, title)
     files = {
-        "rate-and-state.json": storage.to_json(compared(models)).encode(),
+        "rate-and-state.json": storage.to_json(summaries(models)).encode(),
         "rate-and-state.parquet": storage.parquet(columns, _fit_origin(first)),
         "rate-and-state.png": saved(figure),
     }

@@ -117,6 +117,15 @@ def test_sliding_is_stable_above_the_critical_stiffness(law):
         assert (np.ptp(mu[1500:]) > np.ptp(mu[:500])) == grows
 
 
+def test_segments_may_be_split():
+    """A segment in 30 pieces, whose ends add up to rounding, is the whole one."""
+    whole = Programme([Segment(3.0, time=3.0)], "stationary", 1.0)
+    pieces = Programme([Segment(3.0, distance=0.3)] * 30, "stationary", 1.0)
+    t = np.linspace(0.0, 3.0, 61)
+    curves = [LAW.friction(programme, t) for programme in (whole, pieces)]
+    np.testing.assert_allclose(*curves, rtol=0, atol=1e-9)  # as for Radau
+
+
 def written(folder, seed, law="slip", **changes):
     """The run file of a synthetic record: 81 points with errors of 3e-4, and a trend of
     1e-6 per length."""
