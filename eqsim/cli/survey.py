@@ -141,7 +141,9 @@ def plot(
     title = sweeps.heading(found, name, chosen)
     figure, notes = sweeps.sweep_figure(found, points, (x, y), by, log_x, title)
     storage.publish(file.parent, {file.name: style.saved(figure, file.suffix[1:])})
+    law = None if by else sweeps.healing_of(points, x, y)
     data = {"file": str(file), "points": len(points), "notes": notes}
+    data |= {"healing": law.as_dict()} if law else {}
     shown.report(data, notes=["; ".join([os.path.relpath(file), *notes])])
 
 

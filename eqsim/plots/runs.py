@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from eqsim.engine.records import ProgrammeTrajectory, SliderTrajectory, Trajectory
     from eqsim.engine.steady import Steady
     from eqsim.master.transient import Transient
+    from eqsim.model.healing import Healing
 
 # A slider faster than so many times the stage has a logarithmic axis of velocity.
 _FAST = 3.0
@@ -239,6 +240,41 @@ def slider_figure(
         _draw_velocity(panels[2], run, caption)
     legend_below(figure, drawn)
     return figure
+
+
+@styled
+def healing_figure(
+    holds: tuple[Array, Array, Array],
+    exact: Array,
+    law: "Healing",
+    caption: Caption,
+) -> Figure:
+    """Draw healing with errors against the times of `holds`, beside `exact` values, if
+    there are as many, and the logarithm through it."""
+    hold, healing, stderr = holds
+    figure = Figure(figsize=(6.5, 4.8))
+    axes = figure.subplots()
+    bars: dict[str, Any] = {"fmt": "o", "capsize": 2.5}
+    axes.errorbar(hold, healing, 2.0 * stderr, label="± 2 standard errors", **bars)
+    if exact.size == hold.size:
+        axes.plot(hold, exact, "k_", markersize=13, label="exact mean")
+    axes.set_xscale("log")
+    draw_healing(axes, law, hold, "C3")
+    axes.set(
+        xlabel=caption.unit("time of the hold", TIME, unknown=True),
+        ylabel=caption.length("healing: peak less force before the hold"),
+        title=caption.heading,
+    )
+    caption.beside(axes)
+    axes.legend()
+    return figure
+
+
+def draw_healing(axes: Axes, law: "Healing", hold: Array, color: Any) -> None:
+    """Draw a logarithm through healing after holds."""
+    t = np.geomspace(hold.min(), hold.max(), 100)
+    label = rf"${law.rate}$ per decade, beyond $t = {law.cutoff}$"
+    axes.plot(t, law.at(t), color=color, linewidth=1, label=label)
 
 
 @styled

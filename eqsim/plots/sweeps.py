@@ -1,6 +1,7 @@
 """Pictures of sweeps."""
 
 import json
+import re
 from collections import Counter
 from contextlib import suppress
 from pathlib import Path
@@ -24,8 +25,10 @@ from eqsim.io.labels import axis, plain, symbol
 from eqsim.io.runfile import RunFile, at, keys, stored
 from eqsim.io.units import Quantity, Units
 from eqsim.master.steady import curve
+from eqsim.model.healing import Healing, healing_law
 from eqsim.numerics.tables import Array
 from eqsim.plots.panels import Caption
+from eqsim.plots.runs import draw_healing
 from eqsim.plots.style import COLORS, DASHES, MARKERS, not_flat, styled
 
 Points = Any  # a pandas DataFrame, one point of a sweep a row
@@ -166,7 +169,23 @@ def sweep_figure(
     notes = [*notes, *filter(None, [sweep.unfinished])]
     log = bool(log_x or (log_x is None and low > 0 and high > _SPREAD * low))
     heading = "\n".join(filter(None, (title, "; ".join(notes))))
-    return _figure(sweep, table, (x, y), by, log, heading), notes
+    figure = _figure(sweep, table, (x, y), by, log, heading)
+    if not by and (law := healing_of(table, x, y)):
+        notes = [*notes, f"healing: {law.told(unit=sweep.units.time)}"]
+    return figure, notes
+
+
+def healing_of(table: Points, x: str, y: str) -> Healing | None:
+    """The logarithm through a column of healing against the hold before it; None for
+    other columns. Values that are not reliable do not count."""
+    hold = re.fullmatch(r"drive\.programme\.(\d+)\.hold", x)
+    healing = re.match(r"segment_(\d+)_healing", y)
+    if not hold or not healing or int(healing[1]) != int(hold[1]) + 1:
+        return None
+    if (reliable := f"{healing[0]}_reliable") in table:
+        table = table[table[reliable].astype(bool)]
+    columns = (table[name].to_numpy(float) for name in (x, y, f"{y}_stderr"))
+    return healing_law(*columns)
 
 
 @styled
@@ -200,11 +219,14 @@ def _figure(
         if fine is not None:
             how: dict[str, Any] = {"color": style["color"], "linestyle": line}
             axes.plot(fine[0], fine[1] * factor, zorder=2, **how)
+        if law := healing_of(members, x, y):
+            draw_healing(axes, law, members[x].to_numpy(float), style["color"])
         lines |= fine is not None
         dashes |= _draw_series(axes, members, columns, style, dashed=fine is None)
     if bar is not None:
         figure.colorbar(bar, ax=axes, label=axis(by[0], sweep.units, unknown=False))
-    handles = [*legends, *_explained(table, y, lines, dashes)]
+    drawn = axes.get_legend_handles_labels()[0]
+    handles = [*legends, *_explained(table, y, lines, dashes), *drawn]
     if handles and not by:
         axes.legend(handles=handles)
     elif handles:  # outside of the axes, where it covers nothing

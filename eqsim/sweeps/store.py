@@ -76,7 +76,8 @@ def schema(file: RunFile, changed: Collection[str] = ()) -> Any:
         fields |= {"slips": integer, **columns("period"), **columns("drop")}
     for index in range(len(file["drive.programme"] or [])):
         for name in (*OF_SEGMENT, *OF_STEP):
-            fields |= columns(f"segment_{index}_{name}", *exact)
+            sure = ("reliable",) * (name in ("healing", "drop"))
+            fields |= columns(f"segment_{index}_{name}", *sure, *exact)
             for one in quantities(Ensemble(), file.units, file.interface):
                 if _is_force(name):
                     fields |= columns(

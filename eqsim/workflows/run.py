@@ -23,7 +23,7 @@ from eqsim.engine.records import (
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
-from eqsim.estimate import Estimate, difference, mean_of
+from eqsim.estimate import Estimate, difference, known, mean_of
 from eqsim.io import terminal
 from eqsim.io.runfile import RunFile, opened
 from eqsim.io.units import Row
@@ -35,6 +35,7 @@ from eqsim.master.peak import Peak, first_peak
 from eqsim.master.steady import reference
 from eqsim.master.transient import Transient
 from eqsim.model.drive import Drive
+from eqsim.model.healing import Healing, healing_law
 from eqsim.numerics.tables import Array
 from eqsim.sweeps.workers import Workers
 from eqsim.workflows.averages import unit_column
@@ -222,9 +223,10 @@ class ProgrammeResult(SimulatedFile):
     def summary(self) -> dict[str, Any]:
         run = self.trajectory
         segments = [asdict(segment) for segment in run.segments]
-        for segment, known in zip(segments, self.exact_segments, strict=False):
-            found = observed(known).items()
+        for segment, exact in zip(segments, self.exact_segments, strict=False):
+            found = observed(exact).items()
             segment["exact"] = {name: estimate.value for name, estimate in found}
+        healing = {"healing": self.healing.as_dict()} if self.healing else {}
         physical = {  # factors of F/(N k), and the units of the products
             quantity.name: {"factor": quantity.factor, "unit": quantity.unit}
             for quantity in self.file.quantities
@@ -232,17 +234,48 @@ class ProgrammeResult(SimulatedFile):
         return {
             "title": self.file.title,
             "segments": segments,
+            **healing,
             **({"physical": physical} if physical else {}),
             "force_reliable": run.force_reliable,
             **self.made(),
         }
 
+    @property
+    def _holds(self) -> tuple[Array, Array, Array]:
+        """Times of holds, and healing after them with its errors."""
+        segments, held = self.trajectory.segments, 0.0
+        rows = []
+        for segment, given in zip(segments, self.drive.segments, strict=True):
+            if segment.healing and segment.healing.reliable:
+                rows.append((held, segment.healing.value, segment.healing.stderr))
+            held = 0.0 if segment.velocity else held + given.duration
+        hold, healing, stderr = np.array(rows, float).reshape(-1, 3).T
+        return hold, healing, stderr
+
+    @cached_property
+    def healing(self) -> Healing | None:
+        """The logarithm through the healing after holds, if there are several."""
+        return healing_law(*self._holds)
+
     def figures(self, title: str) -> dict[str, Any]:
-        """The force along the programme."""
+        """The force along the programme, and the healing after several holds."""
         level = float(np.abs(self.trajectory.force).max())
         caption = panels.Caption.of(self.file, title, level)
-        draw = runs.programme_figure
-        return {"force": draw(self.trajectory, self.exact.solution, caption)}
+        figures = {"force": self._force_figure(caption)}
+        if self.healing:
+            pairs = zip(self.trajectory.segments, self.exact_segments, strict=False)
+            exact = [
+                known(theirs.healing)
+                for ours, theirs in pairs
+                if ours.healing and ours.healing.reliable and theirs.healing
+            ]
+            drawn = self._holds, np.array(exact), self.healing, caption
+            figures["healing"] = runs.healing_figure(*drawn)
+        return figures
+
+    def _force_figure(self, caption: "panels.Caption") -> Any:
+        """The picture of the force along the programme."""
+        return runs.programme_figure(self.trajectory, self.exact.solution, caption)
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
         """Force at the end and at the peak of each segment, as a quantity of the
@@ -283,6 +316,9 @@ class ProgrammeResult(SimulatedFile):
                 said = [f"{name} {row.of(found)}" for name, found in effects.items()]
                 memory = f"memory length {step.memory}"
                 yield f"velocity step of segment {index}: {', '.join(said)}{of} per ln v; {memory}"
+        if self.healing:
+            time = self.file.units.time
+            yield f"healing{of}: {self.healing.told(row.of(self.healing.rate), time)}"
         yield from self.doubts()
         yield from self.speed()
 
@@ -337,15 +373,17 @@ class SliderResult(ProgrammeResult):
         return super().tables() | listed
 
     def figures(self, title: str) -> dict[str, Any]:
-        """Forces and displacements of slider and stage."""
-        level = float(np.abs(self.trajectory.spring).max())
-        caption = panels.Caption.of(self.file, title, level)
-        draw, run = runs.slider_figure, self.trajectory
-        figures = {"force": draw(run, self.exact.solution, caption, self.drive.forced)}
+        """Forces and displacements of slider and stage, and sizes of avalanches."""
+        figures, run = super().figures(title), self.trajectory
         if run.avalanches is not None and run.avalanches["breaks"].size:
             sizes = self._sizes(run.avalanches["breaks"], run.avalanches["t"])
+            caption = panels.Caption.of(self.file, title)
             figures["avalanches"] = runs.sizes_figure(*sizes, caption)
         return figures
+
+    def _force_figure(self, caption: "panels.Caption") -> Any:
+        exact, forced = self.exact.solution, self.drive.forced
+        return runs.slider_figure(self.trajectory, exact, caption, forced)
 
     def _sizes(self, breaks: Array, t: Array) -> tuple[Array, int, Array]:
         """Sizes of bursts under a force, or of avalanches in the second half of a run

@@ -14,6 +14,7 @@ from eqsim.engine.records import Forces, extreme, observed, shown_by, velocity_s
 from eqsim.estimate import z_score
 from eqsim.master.transient import transient
 from eqsim.model.ensemble import Ensemble
+from eqsim.model.healing import healing_law
 
 RUN_FILE = """
 title = "Steps and a hold"
@@ -83,6 +84,50 @@ def test_run_and_replay(path, tmp_path):
     assert shared["segments"] == summary["segments"]
     again = call("replay", out / "trajectory.parquet")
     assert again.exit_code == 0, again.output
+
+
+def test_healing_per_decade(tmp_path):
+    """Three holds in one run: printed, drawn and in JSON, beside the fit of the values."""
+    motion, holds = (
+        "{velocity = 1.0, distance = 3.0, points = 60}",
+        (10.0, 100.0, 1000.0),
+    )
+    moves = ", ".join(f"{{hold = {t}, points = 9}}, {motion}" for t in holds)
+    text = RUN_FILE[: RUN_FILE.index("[drive]")]
+    text += f"[drive]\nvelocity = 1.0\nstart = 'stationary'\nprogramme = [{moves}]\n"
+    (tmp_path / "run.toml").write_text(text)
+    done = call("run", tmp_path / "run.toml", "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert "per decade, logarithmic beyond" in done.output
+    assert (tmp_path / "out" / "healing.png").stat().st_size > 10_000
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    found = [segment["healing"] for segment in summary["segments"][1::2]]
+    columns = ([one[name] for one in found] for name in ("value", "stderr"))
+    law = healing_law(np.array(holds), *map(np.array, columns))
+    assert summary["healing"] == json.loads(json.dumps(law.as_dict()))
+
+
+def test_healing_is_fitted_by_its_logarithm():
+    """Of 500 noisy logarithms rate and cutoff scatter by what is quoted, or less, as
+    errors grow with chi-square (rms 1 within 4.5/sqrt(1000)), and 1 in 1000 is called
+    none (7 in 500 for 6e-7); a root of time is called none. Two holds have no law."""
+    rng, t, error = (
+        np.random.default_rng(1),
+        np.geomspace(1.0, 1e4, 7),
+        np.full(7, 1e-3),
+    )
+    truth, z, none = 0.02 * np.log10(1.0 + t / 5.0), [], 0
+    for _ in range(500):
+        law = healing_law(t, truth + error * rng.normal(size=7), error)
+        cutoff = law.cutoff
+        off = np.log(cutoff.value / 5.0) * cutoff.value / cutoff.stderr
+        z.append(((law.rate.value - 0.02) / law.rate.stderr, off))
+        none += not law.logarithmic
+    rms = np.sqrt(np.mean(np.square(z), axis=0))
+    assert np.all((rms > 0.7) & (rms < 1.15))
+    assert none <= 6
+    assert not healing_law(t, 1e-3 * np.sqrt(t), error).logarithmic
+    assert healing_law(t[:2], truth[:2], error[:2]) is None
 
 
 @pytest.mark.long  # 20 s: the default suite has to end in time on a machine that others use as well
