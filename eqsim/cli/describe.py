@@ -1,13 +1,15 @@
-"""Commands about the meaning of parameters: info, material."""
+"""Commands about the meaning of parameters: info, keys, material."""
 
 import os
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
 from typer import Argument, Option
 
+from eqsim import catalogue
 from eqsim.cli.options import Changes, RunFilePath, Shown, Threads, cores
-from eqsim.errors import InputError, require_choice
+from eqsim.errors import InputError, meant, require_choice
 from eqsim.errors import shown as short
 from eqsim.io import terminal
 from eqsim.lazy import lazily
@@ -16,7 +18,7 @@ from eqsim.paper import NOTE
 with lazily():
     from eqsim import materials
     from eqsim.engine import trajectory
-    from eqsim.io import runfile, units
+    from eqsim.io import runfile, schema, units
     from eqsim.model import groups
 
 _PRESETS = '"steel", "octamethylcyclotetrasiloxane" ("omcts")'
@@ -56,6 +58,51 @@ def info(
         rows=[*rows, ("lives", terminal.count(lives), "predicted for `eqsim run`")],
         notes=[NOTE],
     )
+
+
+_SECTION = Argument(
+    metavar="[SECTION|KEY]", help="A section, such as thermal; or one key, thermal.kT."
+)
+
+
+def keys(
+    name: Annotated[str | None, _SECTION] = None,
+    *,
+    shown: Shown,
+) -> None:
+    """Sections of a run file, or the keys of one: defaults, values and meanings."""
+    sections = catalogue.SECTIONS
+    if name is None:
+        rows = [
+            (f"[{section}]" if section else "", _in_plain_text(about["about"]))
+            for section, about in sections.items()
+        ]
+        notes = ["`eqsim keys SECTION` lists the keys of a section"]
+        columns = "section", "meaning"
+        shown.report(dict(rows), columns=columns, rows=rows, notes=notes)
+        return
+    name = name.strip("[]")
+    section, _, last = (name, "", "") if name in sections else name.rpartition(".")
+    listed = schema.rows_of(section) if section in sections else []
+    listed = [row for row in listed if row.key == last or not last]
+    if not listed:
+        known = [*filter(None, sections), *schema.KEYS]
+        nearest = meant(name, known) or "known are " + ", ".join(filter(None, sections))
+        raise InputError(f"{name}: is no section or key of a run file; {nearest}")
+    plain = [schema.KeyRow(*map(_in_plain_text, row)) for row in listed]
+    shown.report(
+        {row.key: row._asdict() for row in plain},
+        title=_in_plain_text(sections[section]["about"]),
+        columns=schema.KeyRow._fields,
+        rows=plain,
+    )
+
+
+def _in_plain_text(markdown: str) -> str:
+    """A line of the documentation without its links and marks."""
+    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", markdown)
+    text = re.sub(r"; see [^.]*", "", text)
+    return re.sub(r"[`$\\]", "", text.replace("\\ln", " ln"))
 
 
 def material(

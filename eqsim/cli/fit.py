@@ -106,16 +106,7 @@ def fit(
     require_integer("--starts", options.starts, 1, 1000)
     storage.check_folder(out)
     if options.check:
-        with shown.bar("reading", "lines") as progress:
-            prepared = fitting.prepare(file, options.data, True, progress)
-        name, rows = report.write_check(prepared, out, path.stem), report.understood
-        shown.report(
-            {"read": prepared.table.said, "warnings": prepared.warnings},
-            title=file.title or path.stem,
-            columns=report.DATA_COLUMNS,
-            rows=rows(prepared),
-            notes=[*prepared.table.said, *prepared.warnings, f"{out}/: {name}"],
-        )
+        _show_data(file, options.data, out, path.stem, shown)
         return
     if options.posterior:
         require_package("posterior", "emcee", "corner")
@@ -159,6 +150,22 @@ def fit(
     )
     if found.rejected or not found.converged:
         raise Exit(1)
+
+
+def _show_data(
+    file: "runfile.RunFile", data: Path | None, out: Path, name: str, shown: Any
+) -> None:
+    """Read and draw the measurements, and say how they were understood."""
+    with shown.bar("reading", "lines") as progress:
+        prepared = fitting.prepare(file, data, True, progress)
+    picture = report.write_check(prepared, out, name)
+    shown.report(
+        {"read": prepared.table.said, "warnings": prepared.warnings},
+        title=file.title or name,
+        columns=report.DATA_COLUMNS,
+        rows=report.understood(prepared),
+        notes=[*prepared.table.said, *prepared.warnings, f"{out}/: {picture}"],
+    )
 
 
 def _both_laws(

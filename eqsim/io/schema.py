@@ -19,10 +19,11 @@ from eqsim import catalogue
 from eqsim.errors import InputError, meant, shown
 from eqsim.io.tables import DriveRecord
 from eqsim.io.units import Interface, Units
-from eqsim.laws.aging import Aging
-from eqsim.laws.delay import Delay
+from eqsim.laws.aging import RULES, Aging
+from eqsim.laws.barrier import BARRIERS
+from eqsim.laws.delay import DELAYS, Delay
 from eqsim.laws.named import THRESHOLDS
-from eqsim.laws.newborn import Newborn
+from eqsim.laws.newborn import LAWS, Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.viscosity import Viscosity
 from eqsim.model.drive import Drive, Output, Segment, Stage
@@ -54,13 +55,23 @@ OPTIONAL = ("elastic", "drive.stage", "drive.record", "thermal.catch", "thermal.
 _DEEPEST = 16  # nesting of a sweep; its deepest form takes 5
 
 
+# What may be chosen, where the type of the field does not say it.
+_CHOICES = {
+    "thermal.barrier": tuple(BARRIERS),
+    "aging.rule": ("none", *RULES),
+    "newborn.law": ("unstressed", *LAWS),
+    "delay.law": tuple(DELAYS),
+}
+
+
 class Key(NamedTuple):
-    """A key: the `kind` of its values, float, int, bool, str or dict, and how pydantic
-    checks it."""
+    """A key: the `kind` of its values, float, int, bool, str or dict, how pydantic
+    checks it, and the `choices` of a text that is not free."""
 
     kind: type
     annotation: Any
     default: Any
+    choices: tuple[str, ...] = ()
 
 
 def _whole(value: Any) -> Any:
@@ -111,17 +122,29 @@ def _key(name: str) -> Key:
     """The key of this name. Choices are texts here: the dataclass refuses others."""
     section, _, last = name.rpartition(".")
     if name in _OTHERS or section not in _DATACLASSES:
-        return _OTHERS.get(name, _NUMBER)
+        key = _OTHERS.get(name, _NUMBER)
+        return key._replace(choices=_literals(key.annotation))
     kind = _DATACLASSES[section]
     field = {field.name: field for field in fields(kind)}[last]
     hint = typing.get_type_hints(kind)[last]
     union = hint.__args__ if isinstance(hint, types.UnionType) else (hint,)
+    choices = _CHOICES.get(name, _literals(hint))
     first = str if typing.get_origin(union[0]) is Literal else union[0]
     checked: Any = _WHOLE if first is int else first
     default = ... if field.default is MISSING else field.default
     if field.metadata.get("no_default_in_files"):
-        return Key(first, checked | None, None)
-    return Key(first, checked | None if type(None) in union else checked, default)
+        return Key(first, checked | None, None, choices)
+    checked = checked | None if type(None) in union else checked
+    return Key(first, checked, default, choices)
+
+
+def _literals(annotation: Any) -> tuple[str, ...]:
+    """The texts that a type allows, if it lists them."""
+    if typing.get_origin(annotation) is Literal:
+        return typing.get_args(annotation)
+    union = typing.get_origin(annotation) in (typing.Union, types.UnionType)
+    parts = typing.get_args(annotation) if union else ()
+    return tuple(choice for part in parts for choice in _literals(part))
 
 
 KEYS = {name: _key(name) for name in catalogue.KEYS}
@@ -131,6 +154,33 @@ def keys_of(section: str) -> dict[str, Key]:
     """The keys of a section by their last names."""
     parts = ((name.rpartition("."), key) for name, key in KEYS.items())
     return {last: key for (above, _, last), key in parts if above == section}
+
+
+class KeyRow(NamedTuple):
+    """What the documentation says of a key, in Markdown."""
+
+    key: str  # without its section
+    default: str
+    values: str
+    meaning: str
+
+
+_WORDS = {float: "number", int: "whole number", bool: "`true`, `false`", str: "text"}
+
+
+def rows_of(section: str) -> list[KeyRow]:
+    """The keys of a section as the documentation lists them."""
+    rows = []
+    for last, key in keys_of(section).items():
+        entry = catalogue.KEYS[f"{section}.{last}".removeprefix(".")]
+        default = "" if key.default in (None, {}) else f"`{str(key.default).lower()}`"
+        if isinstance(key.default, str):
+            default = f'`"{key.default}"`'
+        default = entry.default or ("required" if key.default is ... else default)
+        values = ", ".join(f'`"{choice}"`' for choice in key.choices)
+        values = values or entry.values or _WORDS.get(key.kind, "table")
+        rows.append(KeyRow(last, default, values, entry.meaning))
+    return rows
 
 
 def _schema(section: str) -> Any:

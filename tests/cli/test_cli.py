@@ -334,6 +334,21 @@ def test_options_are_named_as_they_are_typed(run_file, args, said):
     assert said in result.stderr
 
 
+def test_keys_of_run_files():
+    """Every section and every key of it has a meaning; others are refused."""
+    sections = json.loads(call("keys", "--json").stdout)
+    assert all(sections.values())
+    for section in sections:
+        keys = json.loads(call("keys", section or "title", "--json").stdout)
+        assert keys
+        assert all(key["meaning"] for key in keys.values()), section
+    found = json.loads(call("keys", "thermal.barrier", "--json").stdout)
+    assert found["barrier"]["values"].startswith('"soft", "stiff"')
+    wrong = call("keys", "termal")
+    assert wrong.exit_code == 2
+    assert wrong.stderr.endswith('did you mean "thermal"?\n')
+
+
 @pytest.mark.parametrize(
     ("args", "said"),
     [

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from analysis import reference_pages
 from eqsim.numerics import kernel_folder
 from tests import mutations
 
@@ -429,3 +430,9 @@ def test_committed_run_files_are_valid(path):
     assert file.title
     assert file.ensemble.count > 0
     assert file.drive
+
+
+def test_reference_pages_are_those_of_the_program():
+    """`python -m analysis.reference_pages` would change nothing."""
+    for page, text in reference_pages.pages().items():
+        assert text == page.read_text(encoding="utf-8"), page
