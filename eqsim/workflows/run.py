@@ -303,7 +303,10 @@ class ProgrammeResult(SimulatedFile):
         shown = self.file.preferred(segments[0].peak)
         row = Row("", (), shown)
         of = f" of {shown.symbol}" if shown else ""
-        for index, segment in enumerate(segments[:_MOST_LINES]):
+        noisy = self.file["drive.file"] is not None and len(segments) > _MOST_LINES
+        if noisy:
+            yield "steps and holds of a long record: drive.record.smooth = true tells them from noise"
+        for index, segment in enumerate(() if noisy else segments[:_MOST_LINES]):
             names = "relaxation", "healing", "drop"
             known = {name: getattr(segment, name) for name in names}
             said = [f"{name} {row.of(found)}" for name, found in known.items() if found]
