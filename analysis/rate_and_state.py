@@ -91,9 +91,10 @@ def by_step(X: np.ndarray, f: np.ndarray) -> dict[str, float]:
     after = X >= 0.5
     x, y = X[after] - 0.5, change[after]
     top, level = int(np.argmax(y)), float(y[-1])
-    below = np.flatnonzero(y[top:] - level < (y[top] - level) / math.e)
-    memory = float(x[top + below[0]] - x[top])
-    peak = float(y[top])
+    peak, way = float(y[top]), (y[top:] - level) / (y[top] - level)
+    after = int(np.argmax(way < 1.0 / math.e))
+    last = slice(after - 1, after + 1)
+    memory = float(np.interp(-1.0 / math.e, -way[last], x[top:][last]) - x[top])
     return {"a": peak, "b": peak - level, "a-b": level, "D_c": memory}
 
 
@@ -171,11 +172,11 @@ def draw(found: pd.DataFrame, laboratory: pd.DataFrame) -> Figure:
             label = f"{method}, kT = {kT:g}"
             given = {"yerr": error, "label": label, "color": f"C{number}", **look}
             axes.errorbar(part.v, part[f"{method} {name}"], **given)
-        axes.set(xscale="log")
+        axes.set(xscale="log", yscale="linear" if name == "D_c" else "log")
         if not column:
             axes.set_ylabel(LABELS[name])
         if name == "D_c":
-            axes.set(yscale="log", xlabel=r"velocity  $v/(\omega x_*)$")
+            axes.set(ylim=(0.0, None), xlabel=r"velocity  $v/(\omega x_*)$")
     for axes, beta in zip(panels[0], BETAS, strict=True):
         axes.set_title(f"aging: beta = {beta:g}" if beta else "no aging")
     handles, labels = panels[0, 1].get_legend_handles_labels()
