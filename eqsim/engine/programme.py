@@ -36,7 +36,7 @@ _HANDED_ON_TOGETHER = 8192
 _MOST_PULLED = 20_000_000  # contacts with a stage: all are kept at once, 120 bytes each
 # Parts of the contacts of one ensemble, whose scatter tells errors of differences of
 # two forces: Student's law of 7 is 1.09 times as wide as the normal one in 68 %.
-_LEAST_PARTS, _MOST_PARTS = 8, MOST_SENT
+LEAST_PARTS, _MOST_PARTS = 8, MOST_SENT
 _MOST_PARTED = 2_000_000  # forces of all parts
 _MOST_LEVELS = 5  # velocities whose steady states say how forces scatter
 
@@ -268,7 +268,7 @@ def along(
     if programme.start == "fresh":  # all contacts are pinned, and alike
         pinned_stderr[0] = 0.0
         stderr[0] *= ensemble.newborn.active
-    told = each if each is not None and len(each) >= _LEAST_PARTS else None
+    told = each if each is not None and len(each) >= LEAST_PARTS else None
     forces = Forces(force, stderr, told, np.abs(bias * force))
     return ProgrammeTrajectory(
         X=grid.X,
@@ -286,7 +286,7 @@ def along(
 def _parts_of(count: int, points: int) -> int:
     """Number of equal parts into which contacts are divided; 1 if there is none that
     tells a scatter, or their forces were too many."""
-    fit = range(_LEAST_PARTS, min(_MOST_PARTS, _MOST_PARTED // points) + 1)
+    fit = range(LEAST_PARTS, min(_MOST_PARTS, _MOST_PARTED // points) + 1)
     return max((parts for parts in fit if count % parts == 0), default=1)
 
 

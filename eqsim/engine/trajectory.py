@@ -27,12 +27,14 @@ from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate
 from eqsim.model.drive import Drive, Output, Programme, over_distance, require_drive
 from eqsim.model.ensemble import Ensemble
+from eqsim.model.load import births_of, missed, total
 from eqsim.model.mixture import mixed_averages, summed
 from eqsim.model.reduced import drag_of
-from eqsim.numerics.streams import TRAJECTORY
+from eqsim.numerics.streams import TRAJECTORY, seed_named
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
 
+_OF_LOAD = 1_000_000  # names streams of contacts that a load adds
 _UNCOUNTED = 1000  # lives, so few that exceeding `max_lives` by them does not matter
 
 
@@ -48,6 +50,9 @@ def predicted_lives(
     if isinstance(drive, Programme):
         # what a force lets go of lives once, and nobody knows before what it holds
         lives = 1.0 if drive.forced else sum(programme.cycles(ensemble, drive))
+        if drive.loaded:
+            born = births_of(drive, 2)[1]
+            lives *= sum(float(births.weight.max()) for births in born)
         if drive.stage:
             lives += abs(drive.stage.preload or 0.0) / ensemble.thresholds.mean
         return ensemble.count * replicas * lives
@@ -174,6 +179,8 @@ def trajectory(
         return pulled(ensemble, drive, output, threads, progress)
     if ensemble.populations:
         return _of_kinds(ensemble, drive, output, threads, progress)
+    if isinstance(drive, Programme) and drive.loaded:
+        return _under_load(ensemble, drive, output, threads, progress)
     if isinstance(drive, Programme):
         return programme.along(ensemble, drive, output, threads, progress)
     workers = workers_of(threads)
@@ -259,6 +266,72 @@ def _of_kinds(
     grid, forces = drive.grid(output.points), Forces(total.force, total.force_stderr)
     segments = shown_by(drive, grid, forces, total.force_reliable)
     return replace(total, segments=segments)
+
+
+def _under_load(
+    ensemble: Ensemble,
+    drive: Programme,
+    output: Output,
+    threads: Threads,
+    progress: Progress,
+) -> ProgrammeTrajectory:
+    """Simulate contacts born together, one after the other, and sum over births. All
+    that are there at first stand for those that a falling load leaves."""
+    grid, born = births_of(drive, output.points)
+    runs = list[ProgrammeTrajectory]()
+    for number, births in enumerate(born):
+        before = sum(run.lives for run in runs)
+        count = max(1, round(ensemble.count * float(births.weight.max())))
+        run = trajectory(
+            replace(ensemble, count=count) if number else ensemble,
+            births.programme,
+            points=output.points,
+            seed=seed_named(output.seed, _OF_LOAD, number) if number else output.seed,
+            replicas=output.replicas,
+            threads=threads,
+            max_lives=math.inf,
+            progress=lambda done, before=before: progress(before + done),
+        )
+        runs.append(run)
+
+    def summed_up(name: str) -> Array:
+        return total(born, [getattr(run, name) for run in runs])
+
+    squares = [b._replace(weight=b.weight**2, coarse=b.coarse**2) for b in born]
+    stderr, pinned_stderr = (
+        np.sqrt(total(squares, [getattr(run, name) ** 2 for run in runs]))
+        for name in ("force_stderr", "pinned_stderr")
+    )
+    stderr = np.hypot(stderr, missed(born, [run.force for run in runs]))
+    load = total(born, [np.ones(grid.t.size) for _ in born])
+    force, several = summed_up("force"), output.replicas > 1
+    every = [run.force_replicas for run in runs]
+    replicas = None
+    if several and all(one is not None for one in every):
+        columns = zip(*(one for one in every if one is not None), strict=True)
+        replicas = np.array([total(born, column) for column in columns])
+    reliable = all(run.force_reliable for run in runs)
+    parts = (
+        replicas
+        if replicas is not None and len(replicas) >= programme.LEAST_PARTS
+        else None
+    )
+    return replace(
+        runs[0],
+        X=grid.X,
+        t=grid.t,
+        segment=grid.segment,
+        force=force,
+        force_stderr=stderr,
+        force_reliable=reliable,
+        pinned=summed_up("pinned") / load,
+        pinned_stderr=pinned_stderr / load,
+        force_replicas=replicas,
+        force_replica_std=None if replicas is None else replicas.std(axis=0, ddof=1),
+        lives=sum(run.lives for run in runs),
+        engine_seconds=sum(run.engine_seconds for run in runs),
+        segments=shown_by(drive, grid, Forces(force, stderr, parts), reliable),
+    )
 
 
 @lru_cache(maxsize=32)

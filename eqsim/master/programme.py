@@ -278,6 +278,8 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
             "aging: that of annealed contacts is defined at constant velocity only, "
             "not along a programme"
         )
+    if programme.loaded:
+        raise InputError("drive.programme: a load that changes is not allowed here")
     if ensemble.fluctuates:
         raise InputError('rule = "langevin": has no reference along a programme')
     if ensemble.newborn.active:

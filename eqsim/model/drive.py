@@ -107,6 +107,11 @@ class Segment:
         default that at the end of the segment before, and 0 at first.
     force_rate : float, optional
         Change of the force (length/time), 0 by default.
+    load : float, optional
+        Normal load at the beginning, over that at the start of the programme, > 0; by
+        default that at the end of the segment before, and 1 at first.
+    load_rate : float, optional
+        Change of the load (1/time), 0 by default.
 
     Examples
     --------
@@ -122,8 +127,14 @@ class Segment:
     points: int | None = None
     force: float | None = None
     force_rate: float | None = None
+    load: float | None = None
+    load_rate: float | None = None
 
     def __post_init__(self) -> None:
+        if self.load is not None:
+            require_number("load", self.load, above=0.0, most=1e3)
+        if self.load_rate is not None:
+            require_number("load_rate", self.load_rate)
         for name in ("force", "force_rate"):
             if (value := getattr(self, name)) is None:
                 continue
@@ -293,6 +304,7 @@ class Programme:
             self._require_forces()
         elif self.rebinding == "shared":
             raise InputError('rebinding = "shared": needs a force')
+        self._require_loads()
         with under("programme"):
             duration = sum(segment.duration for segment in self.segments)
             require_number("time", duration, **POSITIVE)
@@ -314,6 +326,24 @@ class Programme:
             raise InputError(
                 f"{name}: {said} with a force, which pulls the slider itself"
             )
+
+    def _require_loads(self) -> None:
+        """Raise InputError where a load cannot change, or falls to 0 or less."""
+        load = 1.0
+        for index, segment in enumerate(self.segments if self.loaded else ()):
+            if self.pulled:
+                said = "not with a stage, a force or a motor, which find X together with it"
+                raise InputError(f"programme.{index}.load: {said}")
+            load = segment.load or load
+            load += (segment.load_rate or 0.0) * segment.duration
+            with under(f"programme.{index}"):
+                require_number("load at the end", load, above=0.0, most=1e3)
+
+    @property
+    def loaded(self) -> bool:
+        """True if the normal load changes."""
+        loads = [(segment.load, segment.load_rate) for segment in self.segments]
+        return any(load is not None or rate for load, rate in loads)
 
     @property
     def forced(self) -> bool:
@@ -338,17 +368,18 @@ class Programme:
 
     def grid(self, points: int) -> Grid:
         """About `points` instants: equidistant along a segment that moves or whose
-        force changes, at equal ratios from the 1e-5th part of a hold or creep on."""
+        force or load changes, at equal ratios from the 1e-5th part of a hold or creep on."""
         share = max(1, (points - 1) // len(self.segments))
         parts = [Grid(np.zeros(1), np.zeros(1), np.zeros(1, np.int64))]
         for index, segment in enumerate(self.segments):
             n, (t, X, _) = segment.points or share, parts[-1]
+            even = segment.load_rate is not None
             if segment.velocity == 0:
                 along: Array = np.zeros(n)
                 ramp = np.arange(1, n + 1) / n
                 looks = np.flip(np.geomspace(1.0, _FIRST_LOOK, n))
                 elapsed: Array = segment.duration * (
-                    ramp if segment.force_rate else looks
+                    ramp if segment.force_rate or even else looks
                 )
             else:
                 along = np.arange(1, n + 1) * (segment.path / n)

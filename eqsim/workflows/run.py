@@ -322,6 +322,8 @@ class ProgrammeResult(SimulatedFile):
         if self.healing:
             time = self.file.units.time
             yield f"healing{of}: {self.healing.told(row.of(self.healing.rate), time)}"
+        if self.drive.loaded and shown and shown.symbol == "mu":
+            yield "mu: friction over the normal load at the start"
         yield from self.doubts()
         yield from self.speed()
 

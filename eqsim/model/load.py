@@ -1,0 +1,133 @@
+"""Normal load that changes along a programme: contacts in proportion to it (derived).
+
+Contacts that a growing load adds are born unstressed, and those that a falling one takes
+away are any, which take their force with them. So the force is linear in populations
+born at the start and wherever the load grows, each thinned alike by every fall,
+
+    F(t)/(N k) = sum_j w_j(t) F_j(t),    w_j(t) = a_j prod_(falls since) L_after/L_before,
+
+with N the contacts at the start, F_j the force per contact of those added at t_j and a_j
+their number over N. While a load grows at a rate, contacts are added at instants of the
+record, by the trapezoidal rule.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from eqsim.model.drive import Grid, Programme, Segment
+from eqsim.numerics.tables import Array
+
+_MOST_BIRTHS = 16  # instants at which a load that grows at a rate adds contacts
+
+
+class Births(NamedTuple):
+    """Contacts that are born together, at the start or where the load grows.
+
+    Attributes
+    ----------
+    programme : Programme
+        The programme from then on, at a constant load.
+    since : int
+        The first instant of the whole record at which they are there.
+    weight, coarse : ndarray, shape (points,)
+        Their number over that of all at the start; and if they were added at half as
+        many instants.
+    """
+
+    programme: Programme
+    since: int
+    weight: Array
+    coarse: Array
+
+
+def births_of(programme: Programme, points: int) -> tuple[Grid, list[Births]]:
+    """The instants of a record, and all contacts along it."""
+    grid = programme.grid(points)
+    sizes = np.bincount(grid.segment)
+    sizes[0] -= 1
+    ends = np.cumsum(sizes)
+    plain = [
+        # equidistant instants remain so
+        replace(
+            segment, points=int(size), load=None, load_rate=segment.load_rate and 0.0
+        )
+        for segment, size in zip(programme.segments, sizes, strict=True)
+    ]
+    left, load = np.ones(grid.t.size), 1.0
+    # segment, instant in it, numbers along the record over what is left of earlier
+    # contacts then
+    added: list[tuple[int, int, Array, Array]] = []
+    for index, segment in enumerate(programme.segments):
+        first, last = ends[index] - sizes[index] + 1, ends[index]
+        before, load = load, segment.load or load
+        left[first:] *= min(load / before, 1.0)
+        level, more = float(left[first]), np.full(left.size, max(load - before, 0.0))
+        added.append((index, 0, more / level, more / level))
+        elapsed = grid.t[first - 1 : last + 1] - grid.t[first - 1]
+        change = (segment.load_rate or 0.0) * elapsed
+        if change[-1] < 0.0:
+            left[first : last + 1] *= 1.0 + change[1:] / load
+            left[last + 1 :] *= 1.0 + change[-1] / load
+        elif change[-1] > 0.0:
+            pieces = 2 * max(1, min(_MOST_BIRTHS, int(sizes[index])) // 2)
+            parts = np.linspace(0, sizes[index], pieces + 1)
+            nodes = np.unique(np.round(parts).astype(int))
+            grown = np.full(left.size, change[-1])
+            grown[: last + 1] = np.append(np.zeros(first), change[1:])
+            every = _trapezoid(change[nodes], grown) / level
+            half = np.zeros_like(every)
+            half[::2] = _trapezoid(change[nodes[::2]], grown) / level
+            added += zip([index] * nodes.size, nodes.tolist(), every, half, strict=True)
+        load += float(change[-1])
+    start = replace(programme, segments=tuple(plain))
+    found = [Births(start, 0, left, left)]
+    for index, node, fine, coarse in added:
+        rest = (*_cut(plain[index], node), *plain[index + 1 :])
+        if rest and fine.any():
+            since = int(ends[index] - sizes[index]) + node + 1
+            weights = (
+                left * x * (np.arange(left.size) >= since) for x in (fine, coarse)
+            )
+            found.append(Births(Programme(rest), since, *weights))
+    return grid, found
+
+
+def _trapezoid(nodes: Array, x: Array) -> Array:
+    """Weights of values at nodes, of which the last ones are 0 at x, in their integral
+    from the first node to x, arrays (points,): shape (nodes, points)."""
+    steps = np.diff(nodes)
+    behind = np.clip(x - nodes[:, None], 0.0, np.append(steps, 0.0)[:, None])
+    return np.asarray(0.5 * (np.append(0.0, steps)[:, None] + behind))
+
+
+def _cut(segment: Segment, node: int) -> list[Segment]:
+    """What is left of a segment after one of its equidistant instants, if anything."""
+    points = (segment.points or 0) - node
+    if points <= 0:
+        return []
+    share = points / (points + node)
+    if segment.distance:
+        return [replace(segment, points=points, distance=segment.distance * share)]
+    return [replace(segment, points=points, time=segment.duration * share)]
+
+
+def total(
+    births: Sequence[Births], columns: Sequence[Array], *, coarse: bool = False
+) -> Array:
+    """Sum over births of a column of each, which ends with the record, times their
+    weights, (points,)."""
+    found = np.zeros(births[0].weight.size)
+    for born, column in zip(births, columns, strict=True):
+        weight = born.coarse if coarse else born.weight
+        found[born.since :] += weight[born.since :] * column[born.since - found.size :]
+    return found
+
+
+def missed(births: Sequence[Births], columns: Sequence[Array]) -> Array:
+    """By how much `total` may be wrong, as contacts are added at few instants, (points,):
+    a third of what changes with half as many."""
+    change = total(births, columns) - total(births, columns, coarse=True)
+    return np.asarray(np.abs(change) / 3.0)
