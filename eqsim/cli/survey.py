@@ -96,7 +96,7 @@ def sweep(
 
 
 _FOLDER = "Folder of Parquet files, one point a row."
-_PICTURE = "Picture, .png, .pdf or .svg. Default: DIR.png beside DIR."
+_PICTURE = "Picture, .png, .pdf or .svg. Default: DIR.png beside DIR, or DIR-Y.png of another column than friction."
 _BY = "Column whose values are series; with a second one, the first chooses colours, the second markers."
 _AT = "Only points at which a column has this value; repeatable."
 _LOG = "Scale of the x axis. Default: logarithmic if x spans more than a factor 30."
@@ -124,7 +124,8 @@ def plot(
             raise InputError(f"--where {item}: must be KEY=VALUE")
         chosen[key] = value
     name = folder.absolute().name
-    file = out or folder.absolute().parent / f"{name}.png"
+    which = "" if y == "friction" else f"-{y}"
+    file = out or folder.absolute().parent / f"{name}{which}.png"
     if file.suffix not in (".png", ".pdf", ".svg"):
         raise InputError(f"--out {file}: must end in .png, .pdf or .svg")
     if file.resolve().is_relative_to(folder.resolve()):

@@ -175,6 +175,8 @@ def test_command_writes_one_picture_outside_the_dataset(folder, tmp_path):
     assert "left out: 1 failed" in result.stdout
     assert (tmp_path / "sweep.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["sweep", "sweep.png"]
+    assert call(folder, "--by", "thermal.kT", "--y", "pinned").exit_code == 0
+    assert (tmp_path / "sweep-pinned.png").exists()
     assert len(read_sweep(folder).table) == len(pd.read_parquet(folder)) == 27
     other = tmp_path / "deep" / "p.png"
     result = call(
