@@ -43,7 +43,7 @@ _VARIANCE = "Folder for fluctuations.parquet, summary.json and a picture."
 _LAG = "Greatest lag. Default: five mean cycles of pinned and detached."
 _SAMPLED_LIVES = "Number of lives to simulate, roughly; 0: none."
 _BORDERS = "Folder for the borders over velocity: a table, a picture and summary.json."
-_CRITICAL = "Look for the critical stiffness of steady sliding also where it takes minutes, with heat or aging."
+_CRITICAL = "No effect: the critical stiffness of steady sliding is always looked for."
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,5 @@ def stability(
     cores(threads)
     if out is not None:
         storage.check_folder(out)
-    found = solving.stability(
-        file, critical=critical, borders=out is not None, bar=shown.bar
-    )
+    found = solving.stability(file, borders=out is not None, bar=shown.bar)
     shown.result(found, path.stem, out)

@@ -1,5 +1,6 @@
 """Pictures of borders of stability, of fluctuations, and of a validation."""
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -44,6 +45,12 @@ def stability_figure(
     if shown.any():
         line |= {"linestyle": "--", "label": "a fresh start jumps below"}
         axes.plot(velocity[shown], fresh[shown], color="C0", **line)
+    if not (known.any() or shown.any()):
+        endless = any(math.isinf(border) for border in critical if border is not None)
+        says = "slips behind any spring" if endless else "smooth behind any spring:"
+        why = "" if endless else "\nno border, neither steady nor from a fresh start"
+        place: dict[str, Any] = {"transform": axes.transAxes, "ha": "center"}
+        axes.text(0.5, 0.8, says + why, **place)
     label = f"this run, {found.verdict}"
     axes.plot([found.velocity], [found.stiffness], "k*", markersize=12, label=label)
     axes.set(xscale="log", yscale="log", xlabel=caption.along("drive.velocity"))

@@ -1,11 +1,14 @@
 """Results of `eqsim stability`: whether sliding through a spring is stable, and the
 borders over velocity."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from eqsim.estimate import Estimate
+import numpy as np
+
+from eqsim.estimate import Estimate, known
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile
 from eqsim.lazy import lazily
@@ -19,7 +22,6 @@ with lazily():
 
 _BORDER_DECADES = 1.5  # decades of velocity to either side of the run's
 _BORDER_POINTS = 25  # velocities of the borders
-_SLOW_POINTS = 7  # velocities of borders that take minutes each
 _ROUNDING = 1e-7  # relative error below which a value is shown without its error
 _FRESH = {
     "slips": "this run slips",
@@ -48,6 +50,7 @@ class StabilityResult(FileResult):
         return {
             **asdict(found),
             **{name: getattr(found, name) for name in names},
+            "sentence": self.sentence,
             "versions": storage.versions(),
         }
 
@@ -61,12 +64,12 @@ class StabilityResult(FileResult):
 
     def rows(self) -> Iterator[tuple[str, ...]]:
         """The run's stiffness, its first slip, and steady sliding."""
-        found, fresh, known = self.stability, self.stability.fresh, self.file.machine(1)
-        machine = ("K",) * bool(known)
+        found, fresh, unit = self.stability, self.stability.fresh, self.file.machine(1)
+        machine = ("K",) * bool(unit)
         yield "", "value", *machine, "meaning"
 
         def of(kappa: float | None) -> tuple[str, ...]:
-            return (self.file.machine(kappa) if kappa else "",) * bool(known)
+            return (self.file.machine(kappa) if kappa else "",) * bool(unit)
 
         said = "kappa_s = K/(N k) of this run"
         yield "stiffness", f"{found.stiffness:.6g}", *of(found.stiffness), said
@@ -89,52 +92,63 @@ class StabilityResult(FileResult):
                 stiffness = value.value if "kappa_s" in meaning else None
                 yield name, _with_error(value), *of(stiffness), meaning
 
+    @property
+    def sentence(self) -> str:
+        """Above which stiffness of the spring this run is smooth, and its own."""
+        found, fresh = self.stability, self.drive.start == "fresh"
+        steady = known(found.critical_stiffness)
+        border = max(steady, known(found.fresh.slip_stiffness) if fresh else 0.0)
+        yours = f"yours is {self._machine(found.stiffness)}"
+        if "undecided" in (found.verdict, found.fresh_verdict if fresh else ""):
+            return f"at the border between smooth and not, {yours}"
+        if found.stiffness < steady:
+            does = "it sticks and slips"
+        elif found.stiffness < border:
+            does = "it slips at its start, and slides steadily then"
+        else:
+            does = "it is smooth"
+        if border == 0.0:
+            return f"smooth behind any spring; {yours}"
+        if border == math.inf:
+            return f"smooth behind no spring; {yours}: {does}"
+        return f"smooth above {self._machine(border)}; {yours}: {does}"
+
+    def _machine(self, stiffness: float) -> str:
+        """A stiffness in the unit of the machine, else as kappa_s."""
+        return self.file.machine(stiffness) or f"kappa_s = {stiffness:.4g}"
+
     def notes(self) -> Iterator[str]:
         found = self.stability
+        yield self.sentence
         if found.verdict == "neutral":
             yield f"neutral: {found.method}"
         elif found.growth.value is None and found.verdict == "stable":
             yield "no rate: perturbations decay within a fraction of a cycle, or not exponentially"
-        if found.critical_stiffness.value is None:
-            yield "no critical stiffness of steady sliding: not asked for (--critical, minutes), or not found"
         if found.verdict == "undecided":
             yield "undecided: the rate is not known well enough to tell its sign"
 
 
-def _with_error(known: Estimate | str) -> str:
+def _with_error(value: Estimate | str) -> str:
     """A value with its error, unless that is rounding."""
-    if isinstance(known, str) or known.value is None or known.stderr is None:
-        return str(known)
-    precise = known.stderr < _ROUNDING * abs(known.value) < float("inf")
-    return f"{known.value:.8g}" if precise else str(known)
+    if isinstance(value, str) or value.value is None or value.stderr is None:
+        return str(value)
+    precise = value.stderr < _ROUNDING * abs(value.value) < float("inf")
+    return f"{value.value:.8g}" if precise else str(value)
 
 
 def stability(
-    file: RunFile,
-    *,
-    critical: bool,
-    borders: bool,
-    bar: Callable[[str, str], Any],
+    file: RunFile, *, borders: bool, bar: Callable[[str, str], Any]
 ) -> StabilityResult:
     """Find whether the slider of a run file slides steadily, and if asked for, the
-    `borders` over velocity; `critical`: look for the critical stiffness also where that
-    takes minutes. `bar(title, unit)` is a context with a progress bar. Raises
+    `borders` over velocity. `bar(title, unit)` is a context with a progress bar. Raises
     InputError."""
     pulled = solver.pulled_by(file.ensemble, file.drive)
-    with bar("kicks and stiffnesses", "runs") as progress:
-        found = solver.stability(
-            pulled.ensemble,
-            pulled.programme(),
-            critical=True if critical else None,
-            progress=progress,
-        )
+    with bar("solving", "equations"):
+        found = solver.stability(pulled.ensemble, pulled.programme())
     if not borders:
         return StabilityResult(file, found, {})
-    points = _SLOW_POINTS if critical and not pulled.quick else _BORDER_POINTS
-    steps = (_BORDER_DECADES * (2.0 * i / (points - 1) - 1.0) for i in range(points))
-    velocities = [found.velocity * 10.0**step for step in steps]
+    spread = _BORDER_DECADES * np.linspace(-1.0, 1.0, _BORDER_POINTS)
+    velocities = (found.velocity * 10.0**spread).tolist()
     with bar("borders", "velocities") as progress:
-        known = solver.border(
-            pulled, velocities, critical=pulled.quick or critical, progress=progress
-        )
-    return StabilityResult(file, found, known)
+        border = solver.border(pulled, velocities, progress=progress)
+    return StabilityResult(file, found, border)

@@ -694,6 +694,7 @@ def test_command(tmp_path):
     assert code == 0
     assert "stable" in out
     assert "0.14168831" in out
+    assert "yours is kappa_s = 0.17: it slips at its start" in out
     assert command(
         "stability", tmp_path / "run.toml", "--quiet", "--set", "delay.time=0"
     ) == (0, "", "")
