@@ -32,6 +32,7 @@ with lazily():
 F_K = "f_k: F/(N_c k), the elastic force per pinned contact, the f_k of the paper; friction is F/(N k)."
 PEAK = "peak_force, peak_X: the static peak, the first maximum of the force after a fresh start."
 _RESULTS = "Results folder. Default: out/NAME beside the run file."
+_NO_EXACT = "Particles only: no exact curve beside them."
 _WORKERS = "Split the ensemble over so many processes; results are the same."
 _SPLIT_DASK = "Split the ensemble over a dask cluster, by its scheduler's address or file; results are the same."
 _PRECISION = "Relative standard error of all observables."
@@ -71,6 +72,7 @@ def run(
     threads: Threads = None,
     split: Split,
     max_lives: MaxLives = 1e10,
+    no_exact: Annotated[bool, Option("--no-exact", help=_NO_EXACT)] = False,
     format_: Formats = None,
     shown: Shown,
 ) -> None:
@@ -82,6 +84,7 @@ def run(
     count, workers, formats = cores(threads), split.chosen(), pictured(format_)
     with shown.bar("simulating", "lives") as progress:
         how: dict[str, Any] = {"max_lives": max_lives, "progress": progress}
+        how["exact"] = not no_exact
         found = running.run(file, threads=count, workers=workers, **how)
     shown.doubt(file, file.drive)
     for line in file.said:

@@ -23,6 +23,7 @@ COLUMN_ENDS = "Columns end in _stderr, _reference_error and _z."
 _MOST_FAILURES = 10  # failed points that are reported
 _POINT_ERROR = "Relative standard error of all observables."
 _SECOND_HALF = "Second half of the run's distance instead of steady averages."
+_NO_EXACT = "No references beside the simulated values."
 _CLUSTER = "Scheduler (or its file) of a dask.distributed cluster to compute on."
 _DATASET = "Folder of the dataset; the same command continues it."
 _THREADS = "Threads per process. Default: cores shared among processes."
@@ -35,6 +36,7 @@ class SweepOptions:
 
     rel_error: Annotated[float, Option(help=_POINT_ERROR)] = 1e-2
     transient: Annotated[bool, Option("--transient", help=_SECOND_HALF)] = False
+    no_exact: Annotated[bool, Option("--no-exact", help=_NO_EXACT)] = False
     workers: shared.Processes = None
     dask: Annotated[str | None, Option(metavar="ADDRESS", help=_CLUSTER)] = None
 
@@ -69,7 +71,9 @@ def sweep(
     for key in sorted(given.keys() & plan.swept(file)):
         said = f"the [sweep] table sets {key} at every point; --set sweep.{key}=[...] sets other values there"
         raise InputError(f"{given[key][1]}: has no effect, {said}")
-    asked = rows.Asked(options.rel_error, max_lives, options.transient)
+    asked = rows.Asked(
+        options.rel_error, max_lives, options.transient, not options.no_exact
+    )
     stores: list[store.Store] = []
     try:
         points = plan.Plan(file)

@@ -12,7 +12,7 @@ import re
 import tomllib
 import typing
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -726,10 +726,16 @@ at = RunFile.with_changes
 def stored(settings: dict[str, Any], folder: Path | str = "") -> RunFile:
     """A run file as it was in force, from the provenance of a table, infinite rates
     included. Raises InputError."""
+    defaults = {one.name: one.default for one in fields(Aging)}
 
     def restored(value: Any, name: str = "") -> Any:
         if isinstance(value, dict):
-            return {key: restored(content, key) for key, content in value.items()}
+            # keys of other rules of aging are stored with their defaults
+            left_out = defaults if name == "aging" else {}
+            given = (
+                one for one in value.items() if left_out.get(one[0], ...) != one[1]
+            )
+            return {key: restored(content, key) for key, content in given}
         if isinstance(value, list):
             return [restored(content, name) for content in value]
         return math.inf if value == "Infinity" and name not in _FREE_TEXT else value

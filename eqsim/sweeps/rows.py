@@ -7,7 +7,7 @@ agree to 1e-9, and to 1e-6 where thresholds fluctuate.
 """
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 from eqsim.engine.elastic import elastic_trajectory
@@ -49,11 +49,20 @@ class Task(NamedTuple):
 class Asked:
     """Accuracy that is asked of each point: steady averages to a relative standard
     error, by so many lives at most; or if `transient` averages over the second half of
-    the run. Raises InputError unless both numbers are positive."""
+    the run; and whether references belong to them. Raises InputError unless both numbers are positive."""
 
     rel_error: float = 1e-2
     max_lives: float = 1e10
     transient: bool = False
+    exact: bool = True
+
+    def settings(self) -> dict[str, Any]:
+        """All of these; `exact` only if it is not the default, as files of earlier
+        releases do not have it."""
+        settings = asdict(self)
+        if self.exact:
+            del settings["exact"]
+        return settings
 
     def __post_init__(self) -> None:
         require_number("--rel-error", self.rel_error, above=0)
@@ -82,14 +91,15 @@ def _point_row(task: Task, asked: Asked, threads: int) -> RowCells:
     sampled = options | {"points": task.points, "replicas": task.replicas}
     try:
         if isinstance(drive := task.drive, Programme):
-            row = _programme(task, drive, sampled)
+            row = _programme(task, drive, sampled, asked.exact)
         elif drive.elastic:
             row = _elastic(task, drive, sampled)
         elif asked.transient:
             run = trajectory(task.ensemble, drive, **sampled)
             row = _averages_row(run.averages, run.lives, [])
         else:
-            row = _steady_cells(task, drive, options | {"rel_error": asked.rel_error})
+            options |= {"rel_error": asked.rel_error}
+            row = _steady_cells(task, drive, options, asked.exact)
     except MemoryError:  # the machine's fault, not the point's
         raise
     except Exception as error:
@@ -98,10 +108,14 @@ def _point_row(task: Task, asked: Asked, threads: int) -> RowCells:
     return {**row, "seconds": time.perf_counter() - begin}
 
 
-def _steady_cells(task: Task, drive: Drive, options: RowCells) -> RowCells:
+def _steady_cells(
+    task: Task, drive: Drive, options: RowCells, compares: bool
+) -> RowCells:
     sampled = steady(task.ensemble, drive, **options)
     missed = f"relative error {options['rel_error']:g} was not reached"
     row = _averages_row(sampled, sampled.lives, [] if sampled.reached else [missed])
+    if not compares:
+        return row
     try:
         exact = reference(task.ensemble, drive)
     except InputError as error:
@@ -131,7 +145,9 @@ def _elastic(task: Task, drive: Drive, options: RowCells) -> RowCells:
     return row | _filled("size", run.size, size) | _filled("single", run.single, single)
 
 
-def _programme(task: Task, programme: Programme, options: RowCells) -> RowCells:
+def _programme(
+    task: Task, programme: Programme, options: RowCells, compares: bool
+) -> RowCells:
     run = trajectory(task.ensemble, programme, **options)
     if isinstance(run, SliderTrajectory):
         if programme.motor and run.force_replicas is not None:
@@ -147,6 +163,8 @@ def _programme(task: Task, programme: Programme, options: RowCells) -> RowCells:
     exact: tuple[SegmentRecord, ...] = ()
     method = "mean field" if programme.stage else "renewal equation in two times"
     try:
+        if not compares:
+            raise InputError("not asked for")
         means = transient(task.ensemble, programme, task.points)
         forces = Forces(means.force, means.force_error)
         grid = programme.grid(task.points)._replace(X=means.X)

@@ -9,7 +9,6 @@ each finished row once. The metadata key `eqsim` holds the run file, the setting
 versions and the version of the schema.
 """
 
-import dataclasses
 import functools
 import hashlib
 import json
@@ -147,7 +146,7 @@ class Store:
             (out / SWEEP_PARTS).mkdir(exist_ok=True)
             for path in (*out.glob(".eqsim-*"), *out.glob("*parts/.eqsim-*")):
                 shutil.rmtree(path) if path.is_dir() else path.unlink()  # unfinished
-            settings = {"sweep": file.settings, **dataclasses.asdict(asked)}
+            settings = {"sweep": file.settings, **asked.settings()}
             where = file.text, file.output.seed, file.folder
             origin = storage.provenance("sweep", settings, *where)
             origin |= {"schema": SCHEMA, "results_version": RESULTS_VERSION}
@@ -183,7 +182,7 @@ class Store:
     def _asked(self, asked: Asked) -> dict[str, str]:
         """All that the rows depend on, by name."""
         file = self.plan.file
-        values = {**naming(file), **dataclasses.asdict(asked)}
+        values = {**naming(file), **asked.settings()}
         for section in ("units", "interface"):
             pairs = file.settings[section].items()
             values |= {f"{section}.{key}": value for key, value in pairs if value}

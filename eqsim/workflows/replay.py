@@ -220,7 +220,7 @@ def _sweep(origin: Origin, table: Table, workers: int, progress: Progress) -> Ta
             "only the table of a finished one, sweep.parquet, can be replayed"
         )
     names = [field.name for field in dataclasses.fields(Asked)]
-    asked = Asked(**{name: settings[name] for name in names})
+    asked = Asked(**{name: settings[name] for name in names if name in settings})
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "again"
         sweep(plan, out, asked=asked, workers=Workers(workers), progress=progress)

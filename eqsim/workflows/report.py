@@ -15,7 +15,7 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.results import Listed, Physical, tell_quantities
 
 with lazily():
-    from eqsim.plots import style
+    from eqsim.plots import panels, style
 
 
 Progress = Callable[[int, float], None]
@@ -109,11 +109,12 @@ class FileResult:
 
 class SimulatedFile(FileResult, Listed):
     """Simulation of a run file: a `trajectory`, drawn with the exact mean if there is
-    one; `who`, "threads" or "workers", shared the work."""
+    one, and it `compares`; `who`, "threads" or "workers", shared the work."""
 
     command = "run"
     trajectory: Any
     who: str = "threads"
+    compares: bool = True
 
     def __post_init__(self) -> None:
         tell_quantities(self, self.file.quantities_in)
@@ -126,6 +127,8 @@ class SimulatedFile(FileResult, Listed):
     @cached_property
     def exact(self) -> Solved[Transient]:
         """The exact mean, or the reason why there is none."""
+        if not self.compares:
+            return Solved(None, "not asked for")
         points = self.file.output.points
         return if_any(lambda: transient(self.ensemble, self.drive, points))
 
@@ -166,7 +169,14 @@ class SimulatedFile(FileResult, Listed):
         """Lives, time, threads, seed and versions, for JSON."""
         names = ("lives", "engine_seconds", "threads", "seed")
         how = {name: getattr(self.trajectory, name) for name in names}
-        return {**how, "versions": storage.versions()}
+        left_out = {} if self.compares else {"exact_curve": self.exact.reason}
+        return {**how, **left_out, "versions": storage.versions()}
+
+    def caption(self, title: str, level: float | None) -> Any:
+        """The caption of a picture of forces of about a `level`."""
+        caption = panels.Caption.of(self.file, title, level)
+        detail = f"{caption.detail}; no exact curve" if not self.compares else ""
+        return caption._replace(detail=detail or caption.detail)
 
     def speed(self) -> Iterator[str]:
         """Notes on how many lives were simulated, how fast, and by whom; and why there

@@ -44,7 +44,7 @@ from eqsim.workflows.peak import static_peak
 from eqsim.workflows.report import Progress, SimulatedFile, Solved, if_any
 
 with lazily():
-    from eqsim.plots import panels, runs
+    from eqsim.plots import runs
 
 
 _MOST_LINES = 40  # segments or slips that a table shows
@@ -77,6 +77,7 @@ class RunResult(SimulatedFile):
     trajectory: Trajectory
     breaks: Breaks | None = None
     who: str = "threads"
+    compares: bool = True
 
     @cached_property
     def peak(self) -> Peak | None:
@@ -86,7 +87,7 @@ class RunResult(SimulatedFile):
     @cached_property
     def exact_peak(self) -> Peak | None:
         """The static peak of the exact mean, if there is one."""
-        if self.peak is None:
+        if self.peak is None or not self.compares:
             return None
         return if_any(lambda: first_peak(self.ensemble, self.drive.velocity)).solution
 
@@ -131,7 +132,7 @@ class RunResult(SimulatedFile):
 
     def figures(self, title: str) -> dict[str, Any]:
         """The force against displacement beside the exact mean and the steady value."""
-        caption = panels.Caption.of(self.file, title, self.steady.friction.value)
+        caption = self.caption(title, self.steady.friction.value)
         draw, exact = runs.trajectory_figure, self.exact.solution
         return {"force": draw(self.trajectory, self.steady, exact, caption)}
 
@@ -207,6 +208,7 @@ class ProgrammeResult(SimulatedFile):
     file: RunFile
     trajectory: ProgrammeTrajectory
     who: str = "threads"
+    compares: bool = True
 
     @cached_property
     def exact_segments(self) -> tuple[SegmentRecord, ...]:
@@ -260,7 +262,7 @@ class ProgrammeResult(SimulatedFile):
     def figures(self, title: str) -> dict[str, Any]:
         """The force along the programme, and the healing after several holds."""
         level = float(np.abs(self.trajectory.force).max())
-        caption = panels.Caption.of(self.file, title, level)
+        caption = self.caption(title, level)
         figures = {"force": self._force_figure(caption)}
         if self.healing:
             pairs = zip(self.trajectory.segments, self.exact_segments, strict=False)
@@ -273,7 +275,7 @@ class ProgrammeResult(SimulatedFile):
             figures["healing"] = runs.healing_figure(*drawn)
         return figures
 
-    def _force_figure(self, caption: "panels.Caption") -> Any:
+    def _force_figure(self, caption: Any) -> Any:
         """The picture of the force along the programme."""
         return runs.programme_figure(self.trajectory, self.exact.solution, caption)
 
@@ -342,7 +344,7 @@ class SliderResult(ProgrammeResult):
     def exact(self) -> Solved[Transient]:
         """The mean field."""
         count, spring = self.ensemble.count, self.drive.stage and not self.drive.motor
-        if count < _FEW and not spring:
+        if self.compares and count < _FEW and not spring:
             said = (
                 f"a mean field is of many contacts, at least {_FEW}; these are {count}"
             )
@@ -382,11 +384,11 @@ class SliderResult(ProgrammeResult):
         figures, run = super().figures(title), self.trajectory
         if run.avalanches is not None and run.avalanches["breaks"].size:
             sizes = self._sizes(run.avalanches["breaks"], run.avalanches["t"])
-            caption = panels.Caption.of(self.file, title)
+            caption = self.caption(title, None)
             figures["avalanches"] = runs.sizes_figure(*sizes, caption)
         return figures
 
-    def _force_figure(self, caption: "panels.Caption") -> Any:
+    def _force_figure(self, caption: Any) -> Any:
         exact, forced = self.exact.solution, self.drive.forced
         return runs.slider_figure(self.trajectory, exact, caption, forced)
 
@@ -472,6 +474,7 @@ def run(
     threads: int = 1,
     workers: Workers | None = None,
     max_lives: float = 1e10,
+    exact: bool = True,
     progress: Progress = lambda *_: None,
 ) -> RunResult | ProgrammeResult | ElasticResult:
     """Simulate a run file, and at constant velocity estimate the steady averages that
@@ -489,6 +492,9 @@ def run(
         Processes instead of threads; results are the same to the last bit.
     max_lives : float
         Largest number of lives that a run may need.
+    exact : bool
+        False for particles only, without exact curve and peak beside them; blocks have
+        none.
     progress : callable, optional
         Called as `progress(done, expected)`, numbers of lives.
 
@@ -549,6 +555,6 @@ def run(
         listed = (
             breaks(ensemble, drive, **draws, threads=threads) if output.breaks else None
         )
-        return RunResult(file, level, simulated, listed, who)
+        return RunResult(file, level, simulated, listed, who, exact)
     kind = SliderResult if drive.pulled else ProgrammeResult
-    return kind(file, simulated, who)
+    return kind(file, simulated, who, exact)

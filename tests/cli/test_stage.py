@@ -80,6 +80,29 @@ def test_a_hold_behind_a_spring(path, tmp_path):
     assert row["slips"] >= 0
 
 
+def test_particles_only(path, tmp_path, monkeypatch):
+    """No mean field is solved, which the summary and the line below the table say, and
+    a sweep has no references; thresholds that grow as ln t are replayed."""
+    monkeypatch.setattr("eqsim.master.slider.pulled_of", None)
+    hold = "programme = [{velocity = 0.1, distance = 4.0}, {hold = 1.0}]"
+    aging = "[aging]\nrule = 'logarithmic'\nbeta = 0.05\ncutoff_time = 1.0\n"
+    text = FILE.replace("distance = 20.0", hold).replace("[delay]\ntime = 1.0\n", aging)
+    path.write_text(f"{text}[sweep]\n'drive.stage.preload' = [0.0]\n")
+    done = call("run", path, "--out", tmp_path / "out", "--no-exact")
+    assert "no exact curve: not asked for" in done.output
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["exact_curve"] == "not asked for"
+    assert "exact" not in summary["segments"][0]
+    assert call("replay", tmp_path / "out" / "trajectory.parquet").exit_code == 0
+    assert call("sweep", path, "--out", tmp_path / "s", "--no-exact").exit_code == 0
+    (row,) = pd.read_parquet(tmp_path / "s").to_dict("records")
+    assert row["message"].endswith("no reference: not asked for")
+    assert (
+        "exact was False, is absent"
+        in call("sweep", path, "--out", tmp_path / "s").output
+    )
+
+
 def test_run_and_replay(path, tmp_path):
     done = call("run", path, "--out", tmp_path / "out")
     assert done.exit_code == 0, done.output
