@@ -64,6 +64,14 @@ class Split:
         return pools.Workers(self.workers or 1, dask=self.dask)
 
 
+@dataclass(frozen=True)
+class Work:
+    """Options of how much a run computes."""
+
+    max_lives: MaxLives = 1e10
+    no_exact: Annotated[bool, Option("--no-exact", help=_NO_EXACT)] = False
+
+
 def run(
     path: RunFilePath,
     out: Annotated[Path | None, Option(help=_RESULTS)] = None,
@@ -71,21 +79,20 @@ def run(
     changes: Changes,
     threads: Threads = None,
     split: Split,
-    max_lives: MaxLives = 1e10,
-    no_exact: Annotated[bool, Option("--no-exact", help=_NO_EXACT)] = False,
+    work: Work,
     format_: Formats = None,
     shown: Shown,
 ) -> None:
     """Simulate the ensemble contact by contact: friction force against displacement."""
     file = changes.load(path)
-    require_number("--max-lives", max_lives, above=0)
+    require_number("--max-lives", work.max_lives, above=0)
     folder = results_folder(path, out)
     storage.check_folder(folder)
     count, workers, formats = cores(threads), split.chosen(), pictured(format_)
     with shown.bar("simulating", "lives") as progress:
-        how: dict[str, Any] = {"max_lives": max_lives, "progress": progress}
-        how["exact"] = not no_exact
-        found = running.run(file, threads=count, workers=workers, **how)
+        how: dict[str, Any] = {"max_lives": work.max_lives, "progress": progress}
+        how |= {"exact": not work.no_exact, "threads": count, "workers": workers}
+        found = running.run(file, **how)
     shown.doubt(file, file.drive)
     for line in file.said:
         shown.note(line)
