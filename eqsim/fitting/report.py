@@ -227,7 +227,7 @@ def understood(prepared: Prepared) -> Iterator[tuple[str, ...]]:
 
 def write_check(prepared: Prepared, out: Path, title: str) -> str:
     """Draw what was read into a folder, and return the name of the picture."""
-    figure = pictures.data_figure(prepared, prepared.file.title or title)
+    figure = pictures.data_figure(prepared, title)
     storage.publish(out, {"data.png": saved(figure)})
     return "data.png"
 
@@ -252,8 +252,6 @@ def _range(low: float | None, high: float | None) -> str:
 
 def remarks(result: FitResult) -> Iterator[str]:
     """Lines on the quality of the fit, on what else it determines, and what not."""
-    if result.table.time is not None:
-        yield from result.table.said
     yield quality("this model", result.goodness)
     if not result.converged:
         yield "NO START CONVERGED: these are no estimates"
@@ -294,6 +292,8 @@ def remarks(result: FitResult) -> Iterator[str]:
 
 def _correlated(result: FitResult) -> Iterator[str]:
     """A line on the correlation of a record's errors."""
+    if result.table.time is not None:
+        yield from result.table.said
     if result.correlation is not None:
         tau, effective = result.correlation
         said = f"correlation time {tau:.3g} (whitened)" if tau else "not correlated"
