@@ -36,6 +36,9 @@ from eqsim.numerics.tables import Array
 
 _OF_LOAD = 1_000_000  # names streams of contacts that a load adds
 _UNCOUNTED = 1000  # lives, so few that exceeding `max_lives` by them does not matter
+# Variance in time of a stationary mean over its expectation: exceeded by chance once in
+# 2e6 runs at most (one degree of freedom).
+_CHANCE = 25.0
 
 
 def predicted_lives(
@@ -217,7 +220,7 @@ def trajectory(
     if c.delay.mean == math.inf:  # no stationary state gives it an error
         spread = Estimate(None, None, count)
     elif not ensemble.divergence:
-        spread = _force_variance(variance, level, run, count, noise)
+        spread = _force_variance((force, variance), level, run, count, noise)
     gone = _is_over(second_half[0], late.mean, level.mean[0])
     gone = gone and _is_over(second_half[1], late.pinned, level.pinned[0])
     seen = [gone and n * 0.5 * run.distance * count >= scatter.ENOUGH for n in alike]
@@ -412,19 +415,26 @@ def _second_half(
 
 
 def _force_variance(
-    variance: Array, level: Scatter, run: Run, contacts: int, noise: float
+    moments: tuple[Array, Array], level: Scatter, run: Run, contacts: int, noise: float
 ) -> Estimate:
-    """Mean over the second half of the variance over contacts at every grid point,
-    shape (points,). Its error is from the law: `noise` gives that of the time average,
-    and the fourth moment what instants that far apart may miss."""
-    late = variance[run.points // 2 :]
+    """Mean over the second half of the variance over contacts at every grid point, from
+    mean and variance, shape (points,). Its error is from the law: `noise` gives that of
+    the time average, and the fourth moment what instants that far apart may miss.
+
+    Contacts that break in step, as equal or commensurate thresholds do for ever, vary
+    less than those of the steady state by the variance in time of their mean, which is
+    otherwise 1/N of it; then it is unreliable."""
+    force, late = (part[run.points // 2 :] for part in moments)
     if contacts < 2:
         return Estimate(None, None, contacts)
     over_time = noise / (0.5 * run.distance)
     at_once = max(float(level.fourth[0] - level.variance[0] ** 2), 0.0) / late.size
     value = float(np.mean(late)) * contacts / (contacts - 1)
     stderr = math.sqrt((over_time + at_once) / contacts)
-    return Estimate(value, stderr, contacts * late.size)
+    in_step = float(np.var(force))
+    by_chance = _CHANCE * float(level.variance[0]) / contacts
+    reliable = in_step <= max(0.5 * stderr, by_chance)
+    return Estimate(value, stderr, contacts * late.size, reliable=reliable)
 
 
 def _is_over(average: Estimate, expected: Array, level: float) -> bool:

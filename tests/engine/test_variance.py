@@ -19,6 +19,7 @@ from scipy import integrate, special
 
 from eqsim import (
     Aging,
+    Delta,
     Distribution,
     Drive,
     Ensemble,
@@ -28,6 +29,7 @@ from eqsim import (
     Lognormal,
     Newborn,
     Pareto,
+    Table,
     Thermal,
     Uniform,
     Weibull,
@@ -492,3 +494,26 @@ def test_means_that_scipy_pretends_to_know(frozen):
     number."""
     with pytest.raises(InputError, match=r"<xi\^3> = inf"):
         Distribution(frozen)
+
+
+@pytest.mark.parametrize(
+    ("law", "in_step"),
+    [
+        (Delta(1.0), True),
+        (Table([0.25, 0.4, 0.6]), True),  # all of .05
+        (Table([0.25, 0.4, 0.6, 0.31 * math.sqrt(2)]), False),
+        (Gamma(1.0), False),
+    ],
+)
+def test_contacts_in_step_are_not_steady(law, in_step):
+    """The forces of cold contacts with commensurate thresholds rise and fall together
+    for ever: their variance over contacts is not that of the steady state, and says so.
+    That of others is reliable and agrees (|z| < 4.5; the largest of 8, false alarm
+    6e-5)."""
+    contacts = Ensemble(law, count=10_000, stiffness_law="uniform")
+    exact = reference(contacts, Drive(1.0), variance=True).force_variance.value
+    for seed in range(8):
+        run = trajectory(contacts, Drive(1.0), points=501, seed=seed)
+        found = run.averages.force_variance
+        assert found.reliable == (not in_step)
+        assert (abs(found.value - exact) > 4.5 * found.stderr) == in_step
