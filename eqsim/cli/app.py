@@ -11,7 +11,7 @@ import typer
 from rich.markup import escape
 from typer.core import TyperGroup
 
-from eqsim.cli import check, describe, fit, simulate, survey
+from eqsim.cli import begin, check, describe, fit, simulate, survey
 from eqsim.cli.options import ERROR, STDERR, Z, complain, grouped, typed
 from eqsim.errors import InputError, shown
 from eqsim.io import signals
@@ -112,6 +112,7 @@ register(app, fit.fit)
 register(app, fit.design)
 register(app, fit.rsf)
 register(app, describe.info)
+register(app, begin.new)
 register(app, describe.keys)
 register(app, survey.plot)
 register(app, check.replay)

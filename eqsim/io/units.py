@@ -288,7 +288,7 @@ def quantities(
 _SI = {"m": "length", "s": "time", "N": "force", "Pa": "force/length^2"}
 
 
-def _measured(text: str) -> tuple[float, Dimension] | None:
+def measured(text: str) -> tuple[float, Dimension] | None:
     """Value in SI units and dimension of a text such as "50 N/mm"; None if it has no
     known unit."""
     number = re.match(r"\s*\d*\.?\d+(e[-+]?\d+)?", text, re.IGNORECASE)
@@ -336,7 +336,7 @@ def over_contacts(
     InputError
         For another unit, and where friction is not known in this one.
     """
-    measured, size = _measured(text), units.size(per)
+    given, size = measured(text), units.size(per)
     kinds = {
         "force": FORCE,
         "shear_stress": STRESS,
@@ -344,7 +344,7 @@ def over_contacts(
     }
     for name, of in kinds.items():
         ours = (a - b for a, b in zip(of, per, strict=True))
-        if not measured or measured[1] != Dimension(*ours):
+        if not given or given[1] != Dimension(*ours):
             continue
         one = next((one for one in found if one.name == name), None)
         # a shear stress in known units is in Pa
@@ -354,7 +354,7 @@ def over_contacts(
                 f"a {name.replace('_', ' ')} takes SI units of length, time and force"
             )
             raise InputError(f"{said} in [units], and what [interface] says of it")
-        return measured[0] * size / (one.factor * unit)
+        return given[0] * size / (one.factor * unit)
     examples = '"50 N/mm", "0.02 MPa/um" or "1.6e-3/um"'
     if per.time:
         examples = '"4.6 MPa s/m", "100 N s/m" or "0.5 s/m"'

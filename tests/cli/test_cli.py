@@ -21,7 +21,7 @@ from command_line import call
 from typer.testing import CliRunner
 from waiting import once
 
-from eqsim import Drive, load, steady
+from eqsim import Drive, Table, load, steady
 from eqsim.cli.app import app
 from eqsim.estimate import OBSERVABLES, Estimate
 from eqsim.io import terminal
@@ -332,6 +332,45 @@ def test_options_are_named_as_they_are_typed(run_file, args, said):
     assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
     assert result.stderr.startswith(f"eqsim: {said}") or said.startswith("more")
     assert said in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "law"),
+    [
+        ("# x\nstrength (mN), area\n0.8,1\n1.2,2\n", Table([0.4, 0.6])),
+        ("s [nm];a\n800;1\n1200;2\n", Table([0.8, 1.2])),
+        ("0.8\n1.2\n", Table([0.8, 1.2])),
+    ],
+)
+def test_a_new_run_file_of_measured_thresholds(text, law, tmp_path):
+    """Strengths in mN of contacts of 2 N/mm are stretches in um; the stiffness is that
+    of the mean strength."""
+    (tmp_path / "s.csv").write_text(text)
+    path = tmp_path / "mine.toml"
+    given = "--thresholds", tmp_path / "s.csv", "--stiffness", "2 N/mm"
+    done = call("new", path, *given)
+    assert done.exit_code == 0, done.output
+    ensemble = load(path).ensemble
+    assert ensemble.stiffness == pytest.approx(2.0, rel=1e-12, abs=0)
+    assert ensemble.thresholds.steps == pytest.approx(law.steps, rel=1e-12, abs=0)
+    again = call("new", path)
+    assert (again.exit_code, again.stderr) == (2, f"eqsim: {path}: is there already\n")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["x.txt"], "x.txt: must end in .toml"),
+        (["x.toml", "--stiffness", "2"], "--stiffness 2: must be a stiffness"),
+        (["x.toml", "--thresholds", "no.csv"], "no.csv"),
+    ],
+)
+def test_bad_new_run_files(given, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = call("new", *given)
+    assert done.exit_code == 2
+    assert said in done.stderr
+    assert not list(tmp_path.iterdir())
 
 
 def test_keys_of_run_files():

@@ -1,0 +1,110 @@
+"""The command that writes a first run file: new."""
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option
+
+from eqsim.catalogue import FORCE, LENGTH, dimension
+from eqsim.cli.options import Shown
+from eqsim.errors import InputError
+from eqsim.io import storage
+from eqsim.lazy import lazily
+
+with lazily():
+    from eqsim.io import csv, runfile, units
+
+_FILE = "The run file to be written; none is overwritten."
+_STRENGTHS = "CSV file of measured thresholds: stretches, or forces in a unit of force."
+_COLUMN = "Its column; by default the first one."
+_STIFFNESS = "Of one contact, with its unit."
+_MICROMETRE, _MILLINEWTON = 1e-6, 1e-3
+_TEXT = """\
+# `eqsim keys SECTION` says what else a section may hold.
+title = "{title}"
+
+[units]                  # of all numbers below
+length = "um"
+time = "s"
+force = "mN"
+
+[contacts]
+count = 10_000           # more give smaller error bars
+stiffness = {stiffness}
+stiffness_law = "uniform" # "sqrt": strong contacts are stiffer
+
+[thresholds]
+{thresholds}
+
+[thermal]
+# temperature = 295      # kelvin; heat matters if kT is not far below k x_*^2
+# attempt_frequency = 1e9 # 1/s
+
+[delay]
+time = 0.0               # s, from a break to the next contact
+
+[drive]
+velocity = 1.0           # um/s
+# distance = 100.0       # um; by default 200 mean thresholds
+
+# [drive.stage]
+# machine_stiffness = "50 N/mm" # of the spring between drive and slider
+
+[output]
+seed = 1
+"""
+_GAMMA = """\
+law = "gamma"            # x^(2n+1) exp(-x^2/x_*^2)
+n = 1.0
+x_star = 1.0             # um, where a contact breaks"""
+
+
+def new(
+    path: Annotated[Path, Argument(metavar="MINE.toml", help=_FILE)],
+    thresholds: Annotated[Path | None, Option(help=_STRENGTHS)] = None,
+    column: Annotated[str | None, Option(help=_COLUMN)] = None,
+    stiffness: Annotated[
+        str | None, Option(metavar='"2 N/mm"', help=_STIFFNESS)
+    ] = None,
+    *,
+    shown: Shown,
+) -> None:
+    """Write a run file with comments, of your own thresholds if there are any."""
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: must end in .toml")
+    if path.exists():
+        raise InputError(f"{path}: is there already")
+    given = "1.0          # mN/um, assumed"
+    if stiffness is not None:
+        value, of = units.measured(stiffness) or (0.0, LENGTH)
+        if of != dimension("force/length") or not value > 0:
+            said = 'must be a stiffness with its unit, such as "2 N/mm"'
+            raise InputError(f"--stiffness {stiffness}: {said}")
+        given = f"{value * _MICROMETRE / _MILLINEWTON:<13.6g}# mN/um"
+    law = _GAMMA if thresholds is None else _law(thresholds, column, path.parent)
+    text = _TEXT.format(title=path.stem, stiffness=given, thresholds=law)
+    storage.publish(path.parent, {path.name: text.encode()}, str(path))
+    runfile.load(path)
+    shown.report({"file": str(path)}, notes=[f"{path}; next: eqsim run {path}"])
+
+
+def _law(path: Path, column: str | None, folder: Path) -> str:
+    """The section of measured thresholds, with the unit in the name of the column."""
+    sheet = csv.read(path, f"--thresholds {path}")
+    name = sheet.columns[sheet.index(column)] if column else sheet.columns[0]
+    unit = re.search(r"[\[(]([^\])]+)[\])]$", name)
+    value, of = (units.measured(f"1 {unit[1]}") if unit else None) or (0.0, LENGTH)
+    if of not in (LENGTH, FORCE):
+        said = f'column "{name}" must be a length or a force'
+        raise InputError(f"--thresholds {path}: {said}")
+    quantity = "force" if of == FORCE else "stretch"
+    ours = "mN" if of == FORCE else "um"
+    scale = value / (_MILLINEWTON if of == FORCE else _MICROMETRE) if value else 1.0
+    where = path if path.is_absolute() else path.resolve().relative_to(folder.resolve())
+    lines = ['law = "table"', f'file = "{where.as_posix()}"']
+    if not sheet.headless:
+        lines.append(f'column = "{name}"')
+    lines.append(f'quantity = "{quantity}"')
+    told = "" if value else ", assumed: its column names no unit"
+    return "\n".join([*lines, f"scale = {scale:.6g}  # to {ours}{told}"])
