@@ -262,7 +262,7 @@ def rsf(
                 file, law, progress=progress, **how
             )
         models[f"{law} law"] = found
-    notes = [*report.model_remarks(models)]
+    notes = [*report.model_remarks(models), f"data: {'; '.join(found.table.said)}"]
     if out is not None:
         files = report.write_compared(models, out, title)
         notes.append(f"{out}/: {', '.join(files)}")

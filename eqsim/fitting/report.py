@@ -293,7 +293,7 @@ def remarks(result: FitResult) -> Iterator[str]:
 def _correlated(result: FitResult) -> Iterator[str]:
     """A line on the correlation of a record's errors."""
     if result.table.time is not None:
-        yield from result.table.said
+        yield f"data: {'; '.join(result.table.said)}"
     if result.correlation is not None:
         tau, effective = result.correlation
         said = f"correlation time {tau:.3g} (whitened)" if tau else "not correlated"
