@@ -260,6 +260,8 @@ def remarks(result: FitResult) -> Iterator[str]:
             f"REJECTED: p < {REJECTED:g}; values and intervals are those of a model "
             "that does not describe the data"
         )
+    if result.table.time is not None:
+        yield f"data: {'; '.join(result.table.said)}"
     yield from _correlated(result)
     minima, count = different(result.minima), len(result.minima)
     if len(minima) > 1:
@@ -292,8 +294,6 @@ def remarks(result: FitResult) -> Iterator[str]:
 
 def _correlated(result: FitResult) -> Iterator[str]:
     """A line on the correlation of a record's errors."""
-    if result.table.time is not None:
-        yield f"data: {'; '.join(result.table.said)}"
     if result.correlation is not None:
         tau, effective = result.correlation
         said = f"correlation time {tau:.3g} (whitened)" if tau else "not correlated"
