@@ -155,7 +155,7 @@ LABELS = {"a": "a / f", "b": "b / f", "D_c": "$D_c$ or memory / $x_*$"}
 @style.styled
 def draw(found: pd.DataFrame, laboratory: pd.DataFrame) -> Figure:
     """a, b and D_c over velocity, without and with aging."""
-    figure = Figure(figsize=(9, 9))
+    figure = Figure(figsize=(8, 8))
     panels: Any = figure.subplots(3, 2, sharex=True, sharey="row")
     for (column, beta), (line, name) in product(enumerate(BETAS), enumerate(LABELS)):
         axes = panels[line, column]
@@ -176,9 +176,10 @@ def draw(found: pd.DataFrame, laboratory: pd.DataFrame) -> Figure:
         if not column:
             axes.set_ylabel(LABELS[name])
         if name == "D_c":
-            axes.set(ylim=(0.0, None), xlabel=r"velocity  $v/(\omega x_*)$")
+            axes.set_xlabel(r"velocity  $v/(\omega x_*)$")
     for axes, beta in zip(panels[0], BETAS, strict=True):
         axes.set_title(f"aging: beta = {beta:g}" if beta else "no aging")
+    panels[2, 0].set_ylim(bottom=0.0)
     handles, labels = panels[0, 1].get_legend_handles_labels()
     figure.legend(handles, labels, ncols=4, loc="outside lower center", frameon=False)
     return figure

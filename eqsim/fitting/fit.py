@@ -248,11 +248,13 @@ class FitResult:
     def _repr_html_(self) -> str:
         return str(self.to_pandas().to_html())
 
-    @property
+    @cached_property
     def chi2_as_given(self) -> float:
-        """Least chi-square of the starts: of a record, with its errors as they are
-        given, before residuals told their correlation."""
-        return min(one.chi2 for one in self.minima)
+        """Least chi-square that was met with the errors of the data as they are given,
+        taken to be independent."""
+        problem = replace(self.problem, correlation=None)
+        r = problem.residuals(self.best.u)
+        return min(float(r @ r), *(one.chi2 for one in self.minima))
 
     @property
     def converged(self) -> bool:

@@ -144,8 +144,8 @@ def fit_rate_and_state(
         k of the machine (unit of the record per length), instead of the run file's
         fit.record.machine_stiffness; without both it is free.
     trend : str
-        Friction changes in proportion to the "displacement" of the load point from its
-        mean, to the "time" from its mean, or not ("none").
+        From the first point on friction changes in proportion to the "displacement" of
+        the load point, to "time", or not ("none").
     starts : int
         Points from which a least-squares fit begins.
     workers : int
@@ -231,7 +231,7 @@ def problem_of(
     nuisance = {"mu_0": np.ones(t.size)}
     if trend != "none":
         x = along[trend]
-        nuisance["trend"] = x - x.mean()
+        nuisance["trend"] = x - x[0]
         most = 10.0 * unit / float(np.ptp(x))
         parameters.append(Parameter("trend", "linear", -most, most, 0.0, linear=True))
     return Problem(
