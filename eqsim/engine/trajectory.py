@@ -27,7 +27,7 @@ from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate
 from eqsim.model.drive import Drive, Output, Programme, over_distance, require_drive
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.load import births_of, missed, total
+from eqsim.model.load import births_of, under_load
 from eqsim.model.mixture import mixed_averages, summed
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY, seed_named
@@ -180,10 +180,9 @@ def trajectory(
     progress = guarded(progress, expected, max_lives)
     if isinstance(drive, Programme) and drive.pulled:
         return pulled(ensemble, drive, output, threads, progress)
-    if ensemble.populations:
-        return _of_kinds(ensemble, drive, output, threads, progress)
-    if isinstance(drive, Programme) and drive.loaded:
-        return _under_load(ensemble, drive, output, threads, progress)
+    loaded = isinstance(drive, Programme) and drive.loaded
+    if ensemble.populations or loaded:
+        return _one_by_one(ensemble, drive, output, threads, progress)
     if isinstance(drive, Programme):
         return programme.along(ensemble, drive, output, threads, progress)
     workers = workers_of(threads)
@@ -239,102 +238,55 @@ def trajectory(
     )
 
 
-def _of_kinds(
+def _one_by_one(
     ensemble: Ensemble,
     drive: Drive | Programme,
     output: Output,
     threads: Threads,
     progress: Progress,
 ) -> Trajectory | ProgrammeTrajectory:
-    """Simulate one kind of contacts after the other, and sum over kinds."""
-    way, kinds, runs = over_distance(drive, ensemble), ensemble.kinds, list[Any]()
-    for kind in kinds:
+    """Simulate one kind of contacts after the other, or those that are added with the
+    load, and sum over them."""
+    runs = list[Any]()
+
+    def simulate(contacts: Ensemble, way: Drive | Programme, seed: int) -> None:
         before = sum(run.lives for run in runs)
         run = trajectory(
-            kind.contacts,
+            contacts,
             way,
             points=output.points,
-            seed=kind.seed(output.seed),
+            seed=seed,
             replicas=output.replicas,
             threads=threads,
             max_lives=math.inf,
-            progress=lambda done, before=before: progress(before + done),
+            progress=lambda done: progress(before + done),
         )
         runs.append(run)
-    total = summed(kinds, runs, seed=output.seed)
-    if isinstance(drive, Drive):
-        averages = [run.averages for run in runs]
-        mixed = mixed_averages(kinds, averages, drive.velocity)
-        return replace(total, averages=Averages(**mixed))
-    grid, forces = drive.grid(output.points), Forces(total.force, total.force_stderr)
+
+    if ensemble.populations:
+        way, kinds = over_distance(drive, ensemble), ensemble.kinds
+        for kind in kinds:
+            simulate(kind.contacts, way, kind.seed(output.seed))
+        total = summed(kinds, runs, seed=output.seed)
+        if isinstance(drive, Drive):
+            averages = [run.averages for run in runs]
+            mixed = mixed_averages(kinds, averages, drive.velocity)
+            return replace(total, averages=Averages(**mixed))
+    else:
+        assert isinstance(drive, Programme)
+        _, born = births_of(drive, output.points)
+        simulate(ensemble, born[0].programme, output.seed)
+        for number, births in enumerate(born[1:]):
+            count = max(1, round(ensemble.count * float(births.weight.max())))
+            seed = seed_named(output.seed, _OF_LOAD, number)
+            simulate(replace(ensemble, count=count), births.programme, seed)
+        total = under_load(born, runs)
+    each = total.force_replicas
+    parts = each if each is not None and len(each) >= programme.LEAST_PARTS else None
+    forces = Forces(total.force, total.force_stderr, parts)
+    grid = drive.grid(output.points)
     segments = shown_by(drive, grid, forces, total.force_reliable)
     return replace(total, segments=segments)
-
-
-def _under_load(
-    ensemble: Ensemble,
-    drive: Programme,
-    output: Output,
-    threads: Threads,
-    progress: Progress,
-) -> ProgrammeTrajectory:
-    """Simulate contacts born together, one after the other, and sum over births. All
-    that are there at first stand for those that a falling load leaves."""
-    grid, born = births_of(drive, output.points)
-    runs = list[ProgrammeTrajectory]()
-    for number, births in enumerate(born):
-        before = sum(run.lives for run in runs)
-        count = max(1, round(ensemble.count * float(births.weight.max())))
-        run = trajectory(
-            replace(ensemble, count=count) if number else ensemble,
-            births.programme,
-            points=output.points,
-            seed=seed_named(output.seed, _OF_LOAD, number) if number else output.seed,
-            replicas=output.replicas,
-            threads=threads,
-            max_lives=math.inf,
-            progress=lambda done, before=before: progress(before + done),
-        )
-        runs.append(run)
-
-    def summed_up(name: str) -> Array:
-        return total(born, [getattr(run, name) for run in runs])
-
-    squares = [b._replace(weight=b.weight**2, coarse=b.coarse**2) for b in born]
-    stderr, pinned_stderr = (
-        np.sqrt(total(squares, [getattr(run, name) ** 2 for run in runs]))
-        for name in ("force_stderr", "pinned_stderr")
-    )
-    stderr = np.hypot(stderr, missed(born, [run.force for run in runs]))
-    load = total(born, [np.ones(grid.t.size) for _ in born])
-    force, several = summed_up("force"), output.replicas > 1
-    every = [run.force_replicas for run in runs]
-    replicas = None
-    if several and all(one is not None for one in every):
-        columns = zip(*(one for one in every if one is not None), strict=True)
-        replicas = np.array([total(born, column) for column in columns])
-    reliable = all(run.force_reliable for run in runs)
-    parts = (
-        replicas
-        if replicas is not None and len(replicas) >= programme.LEAST_PARTS
-        else None
-    )
-    return replace(
-        runs[0],
-        X=grid.X,
-        t=grid.t,
-        segment=grid.segment,
-        force=force,
-        force_stderr=stderr,
-        force_reliable=reliable,
-        pinned=summed_up("pinned") / load,
-        pinned_stderr=pinned_stderr / load,
-        force_replicas=replicas,
-        force_replica_std=None if replicas is None else replicas.std(axis=0, ddof=1),
-        lives=sum(run.lives for run in runs),
-        engine_seconds=sum(run.engine_seconds for run in runs),
-        segments=shown_by(drive, grid, Forces(force, stderr, parts), reliable),
-    )
 
 
 @lru_cache(maxsize=32)

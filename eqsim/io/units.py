@@ -314,28 +314,11 @@ def measured(text: str) -> tuple[float, Dimension] | None:
 def over_contacts(
     text: str, per: Dimension, units: Units, found: Iterable[Quantity]
 ) -> float:
-    """Convert a force, shear stress or friction coefficient `per` displacement or
-    velocity to the same of friction F/(N k).
-
-    Parameters
-    ----------
-    text : str
-        Such as "50 N/mm", "0.02 MPa/um", "1.6e-3/um", or "4.6 MPa s/m".
-    per : Dimension
-        `LENGTH` for a stiffness, `VELOCITY` for a damping.
-    units, found
-        Units of the run file, and the `quantities` that friction is in them.
-
-    Returns
-    -------
-    float
-        kappa_s = K/(N k), or eta_s/(N k) (time).
-
-    Raises
-    ------
-    InputError
-        For another unit, and where friction is not known in this one.
-    """
+    """Convert a force, shear stress or friction coefficient per displacement (`per`
+    LENGTH) or per VELOCITY, in a text such as "50 N/mm", "0.02 MPa/um", "1.6e-3/um" or
+    "4.6 MPa s/m", to the same of friction F/(N k): kappa_s = K/(N k), or eta_s/(N k)
+    (time). `found` are the `quantities` that friction is. Raises InputError for another
+    unit, and where friction is not known in this one."""
     given, size = measured(text), units.size(per)
     kinds = {
         "force": FORCE,

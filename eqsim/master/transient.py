@@ -40,7 +40,7 @@ from eqsim.master.quenched import integrals_beyond
 from eqsim.master.steady import reference, settled
 from eqsim.model.drive import Drive, Programme, over_distance, require_drive
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.load import births_of, missed, total
+from eqsim.model.load import births_of, under_load
 from eqsim.model.mixture import summed
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.quadrature import extrapolated, largest_nearby
@@ -120,7 +120,10 @@ def transient(
         mixed: Transient = summed(kinds, each)
         return mixed
     if isinstance(drive, Programme) and drive.loaded:
-        return _under_load(ensemble, drive, points)
+        _, born = births_of(drive, points)
+        each = [transient(ensemble, births.programme, points) for births in born]
+        loaded: Transient = under_load(born, each)
+        return loaded
     if isinstance(drive, Programme):
         grid = drive.grid(points)
         solve = slider.pulled_of if drive.pulled else programme.means_along
@@ -170,30 +173,6 @@ def transient(
 def _interpolated(X: Array, x: Array, *rows: Array) -> list[Array]:
     """Values at points X on straight lines between those at x."""
     return [np.interp(X, x, row) for row in rows]
-
-
-def _under_load(ensemble: Ensemble, programme: Programme, points: int) -> Transient:
-    """`transient` of a programme along which the load changes."""
-    grid, born = births_of(programme, points)
-    each = [transient(ensemble, births.programme, points) for births in born]
-    sums = {
-        name: total(born, [getattr(means, name) for means in each])
-        for name in ("force", "pinned", "breaks", "force_error", "pinned_error")
-    }
-    for name in ("force", "pinned"):
-        sums[f"{name}_error"] += missed(born, [getattr(means, name) for means in each])
-    load = total(born, [np.ones(births.weight.size) for births in born])
-    for name in ("pinned", "breaks", "pinned_error"):  # per contact that is there
-        sums[name] /= load
-    return Transient(
-        grid.X,
-        sums["force"],
-        sums["pinned"],
-        sums["breaks"],
-        sums["force_error"],
-        sums["pinned_error"],
-        grid.t,
-    )
 
 
 def _level(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Transient:

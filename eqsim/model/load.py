@@ -12,12 +12,13 @@ record, by the trapezoidal rule.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import fields, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from eqsim.model.drive import Grid, Programme, Segment
+from eqsim.model.mixture import summed
 from eqsim.numerics.tables import Array
 
 _MOST_BIRTHS = 16  # instants at which a load that grows at a rate adds contacts
@@ -114,20 +115,38 @@ def _cut(segment: Segment, node: int) -> list[Segment]:
     return [replace(segment, points=points, time=segment.duration * share)]
 
 
-def total(
-    births: Sequence[Births], columns: Sequence[Array], *, coarse: bool = False
-) -> Array:
-    """Sum over births of a column of each, which ends with the record, times their
-    weights, (points,)."""
-    found = np.zeros(births[0].weight.size)
-    for born, column in zip(births, columns, strict=True):
-        weight = born.coarse if coarse else born.weight
-        found[born.since :] += weight[born.since :] * column[born.since - found.size :]
-    return found
+def under_load(births: Sequence[Births], results: Sequence[Any]) -> Any:
+    """Sum results over births. The error of the force has a third of what changes if
+    contacts are added at half as many instants, in quadrature with standard errors."""
+    whole = [_padded(*pair) for pair in zip(births, results, strict=True)]
+    kinds, coarse = (
+        [_Share(weight, weight / sum(weights)) for weight in weights]
+        for weights in ([b.weight for b in births], [b.coarse for b in births])
+    )
+    found = summed(kinds, whole)
+    missed = np.abs(found.force - summed(coarse, whole).force) / 3.0
+    if hasattr(found, "force_error"):
+        return replace(found, force_error=found.force_error + missed)
+    return replace(found, force_stderr=np.hypot(found.force_stderr, missed))
 
 
-def missed(births: Sequence[Births], columns: Sequence[Array]) -> Array:
-    """By how much `total` may be wrong, as contacts are added at few instants, (points,):
-    a third of what changes with half as many."""
-    change = total(births, columns) - total(births, columns, coarse=True)
-    return np.asarray(np.abs(change) / 3.0)
+class _Share(NamedTuple):
+    """What `mixture.summed` multiplies results by, arrays (points,)."""
+
+    weight: Array
+    share: Array
+
+
+def _padded(births: Births, result: Any) -> Any:
+    """A result of contacts born along a record, with zeros before they are there."""
+    points = births.weight.size - births.since
+    every = ((field.name, getattr(result, field.name)) for field in fields(result))
+    columns = {name: x for name, x in every if isinstance(x, np.ndarray)}
+    before = {
+        name: np.zeros((*x.shape[:-1], births.since)) for name, x in columns.items()
+    }
+    padded = {
+        name: np.concatenate((before[name], x[..., x.shape[-1] - points :]), axis=-1)
+        for name, x in columns.items()
+    }
+    return replace(result, **padded)

@@ -33,8 +33,9 @@ _FACTORS = {
 _IN_QUADRATURE = ("force_stderr", "force_replica_std", "pinned_stderr")
 
 
-def summed(kinds: Sequence[Kind], results: Sequence[Any], **changes: Any) -> Any:
-    """Sum results over kinds, with `changes` of other fields. Standard errors, which are
+def summed(kinds: Sequence[Any], results: Sequence[Any], **changes: Any) -> Any:
+    """Sum results over kinds, `Kind` or what has its factors, which may be arrays
+    (points,), with `changes` of other fields. Standard errors, which are
     of independent contacts, add up in quadrature, and bounds of errors as they are."""
     for name in [field.name for field in fields(results[0])]:
         columns = [getattr(result, name) for result in results]
@@ -43,11 +44,12 @@ def summed(kinds: Sequence[Kind], results: Sequence[Any], **changes: Any) -> Any
         elif name in ("force_reliable", "reached"):
             changes[name] = all(columns)
         elif name in _FACTORS and name not in changes:
-            factors = [getattr(kind, _FACTORS[name]) for kind in kinds]
-            pairs = zip(factors, columns, strict=True)
             if any(column is None for column in columns):
                 changes[name] = None
-            elif name in _IN_QUADRATURE:
+                continue
+            factors = [getattr(kind, _FACTORS[name]) for kind in kinds]
+            pairs = zip(factors, columns, strict=True)
+            if name in _IN_QUADRATURE:
                 changes[name] = np.sqrt(sum((x * column) ** 2 for x, column in pairs))
             else:
                 changes[name] = sum(x * column for x, column in pairs)
