@@ -127,9 +127,7 @@ def test_the_same_whatever_is_recorded():
     assert scores(*runs).max() < 4.5
 
 
-@pytest.mark.parametrize(
-    "name", ["soft sqrt, exponential delay", "soft uniform, fixed delay"]
-)
+@chosen("name", CHOSEN, CHOSEN[:1])
 def test_same_bits_on_anything(name):
     one, two = (
         trajectory(contacts(name, 700), Programme(MIXED), seed=9, replicas=5, threads=n)

@@ -314,6 +314,7 @@ def test_transients(law):
     assert np.abs((found.force - other.force)[1:] / found.force_stderr[1:]).max() > 4.5
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("law", USUAL[:1], ids=repr)
 def test_logarithmic_aging_and_programmes(law):
     """Thresholds of any law may grow: z of the steady friction, and of the force after
