@@ -1,6 +1,7 @@
 """Force of an ensemble along a programme of segments, event driven: exact in time, also
 in holds and reversals."""
 
+import functools
 import math
 from dataclasses import replace
 from functools import lru_cache
@@ -226,7 +227,9 @@ def steps_of(
     return Steps(tuple(steps), start, key_of(seed, TRAJECTORY), before)
 
 
-def cycles(ensemble: Ensemble, programme: Programme) -> list[float]:
+# It takes as long as the run of a few contacts, whose next seed asks for it again.
+@functools.lru_cache(maxsize=32)
+def cycles(ensemble: Ensemble, programme: Programme) -> tuple[float, ...]:
     """Predict about how many lives of a contact begin in each segment."""
     found = []
     for leg in reduced.legs(ensemble, programme):
@@ -234,7 +237,7 @@ def cycles(ensemble: Ensemble, programme: Programme) -> list[float]:
         stretch = typical_lives(c).travel if leg.sign else waits_at_rest(c, leg.length)
         mean = float(np.mean(np.minimum(stretch + c.delay.mean, leg.length)))
         found.append(1.0 + leg.length / mean if mean > 0 else math.inf)
-    return found
+    return tuple(found)
 
 
 def along(
