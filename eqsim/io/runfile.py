@@ -726,15 +726,17 @@ at = RunFile.with_changes
 def stored(settings: dict[str, Any], folder: Path | str = "") -> RunFile:
     """A run file as it was in force, from the provenance of a table, infinite rates
     included. Raises InputError."""
-    defaults = {one.name: one.default for one in fields(Aging)}
 
     def restored(value: Any, name: str = "") -> Any:
         if isinstance(value, dict):
+            rule = RULES.get(value.get("rule", "")) if name == "aging" else None
+            others = {
+                one.name: one.default
+                for one in fields(Aging)
+                if rule and one.name not in ("rule", *rule.keys)
+            }
             # keys of other rules of aging are stored with their defaults
-            left_out = defaults if name == "aging" else {}
-            given = (
-                one for one in value.items() if left_out.get(one[0], ...) != one[1]
-            )
+            given = (one for one in value.items() if others.get(one[0], ...) != one[1])
             return {key: restored(content, key) for key, content in given}
         if isinstance(value, list):
             return [restored(content, name) for content in value]

@@ -406,7 +406,9 @@ def require_drive(drive: Drive | Programme) -> Drive:
         said = "must be a Drive, for example Drive(velocity=0.1)"
         raise InputError(f"drive = {shown(drive)}: {said}")
     if drive.elastic is not None:
-        said = "coupled blocks are simulated by `elastic_trajectory` and `eqsim run` alone"
+        said = (
+            "coupled blocks are simulated by `elastic_trajectory` and `eqsim run` alone"
+        )
         raise InputError(f"elastic: {said}; this needs a rigid slider")
     return drive
 

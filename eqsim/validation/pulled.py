@@ -380,8 +380,9 @@ def lifetimes(point: Point, plan: Suite) -> Found:
     rng, law = point.rng(10), Delta(point.ensemble.thresholds.mean)
     count = int(rng.choice([1, 2, 5, 10]))
     force = float(f"{rng.uniform(0.2, 0.8) * law.x_star:.4g}")
+    # of equal thresholds both ensembles are the same, and quenched ones take no steps
     cluster, shown = (
-        replace(_bare(one, count, Delay(math.inf)), thresholds=law)
+        replace(_bare(one, count, Delay(math.inf)), thresholds=law, disorder="quenched")
         for one in (point.ensemble, point.shown)
     )
     exact = lifetime(cluster, Programme((Segment(force=force, time=1.0),)), points=2)

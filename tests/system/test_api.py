@@ -267,7 +267,8 @@ def test_completion_lists_what_is_meant(path):
     shown = {name for name in dir(file) if not name.startswith("__")}
     assert shown == {
         *("drive", "ensemble", "fit", "folder", "given", "interface", "output"),
-        *("quantities", "settings", "sweep", "text", "title", "units", "with_changes"),
+        *("quantities", "said", "settings", "sweep", "text", "title", "units"),
+        "with_changes",
     }
     for result in (reference(path), eqsim.transient(path), eqsim.run(path)):
         shown = {name for name in dir(result) if not name.startswith("__")}

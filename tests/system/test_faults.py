@@ -342,7 +342,10 @@ COMMANDS = {
 
 
 # Commands that read what there is, or solve a few equations: not interrupted here.
-SHORT = {"design", "export", "fluctuations", "info", "material", "plot"}
+SHORT = {
+    *("design", "export", "fluctuations", "info", "keys", "material", "new", "plot"),
+    "rsf",
+}
 
 
 def test_no_command_is_forgotten():
