@@ -22,7 +22,7 @@ from eqsim.lazy import lazily
 with lazily():
     from eqsim.fitting import design as designing
     from eqsim.fitting import fit as fitting
-    from eqsim.fitting import posterior, rate_and_state, report
+    from eqsim.fitting import posterior, rate_and_state, report, section
     from eqsim.io import runfile
 
 _FIT_FOLDER = "Folder for fit.json, tables, pictures and the best fit's run file."
@@ -110,10 +110,10 @@ def fit(
         return
     if options.posterior:
         require_package("posterior", "emcee", "corner")
-    rivals, other = options.compare == Path(RIVAL), None
-    if rivals and not file.fit.get("record"):
-        raise InputError(f"--compare {RIVAL}: must be of a record, fit.record")
-    if options.compare is not None and not rivals:
+    other, rivals = None, {}
+    if options.compare == Path(RIVAL):
+        rivals = _both_laws(file, options.data)
+    elif options.compare is not None:
         other = runfile.load(options.compare)
     with shown.bar("fitting", "fits") as progress:
         how: dict[str, Any] = {"allow_degenerate": options.allow_degenerate}
@@ -136,7 +136,7 @@ def fit(
         data["compare"] = {"file": str(options.compare), **rival._asdict()}
         lines.insert(1, report.quality(str(options.compare), rival))
     elif rivals:
-        models = {"contacts": found, **_both_laws(file, options.data, found)}
+        models = {"contacts": found, **rivals}
         data["compare"] = report.summaries(models)
         lines[1:1] = report.model_remarks(models)
         files += report.write_compared(models, out, file.title or path.stem)
@@ -169,14 +169,17 @@ def _show_data(
 
 
 def _both_laws(
-    file: "runfile.RunFile", data: Path | None, found: "fitting.FitResult"
-) -> "dict[str, rate_and_state.RateAndStateFit]":
+    file: "runfile.RunFile", data: Path | None
+) -> "dict[str, fitting.FitResult]":
     """Rate-and-state friction with both laws of its state, fitted to the record of a
-    fit of contacts, with a trend like theirs. Raises InputError."""
-    trend, keys = "none", found.problem.keys
-    if found.fit.trend is not None and "fit.trend" in keys:
-        trend = found.fit.trend.per
-    elif "fit.drift" in keys:
+    run file, with a trend like that of its contacts. Raises InputError."""
+    given = section.section_of(file)
+    if given.record is None:
+        raise InputError(f"--compare {RIVAL}: must be of a record, fit.record")
+    trend = "none"
+    if given.trend is not None and "fit.trend" in given.free:
+        trend = given.trend.per
+    elif "fit.drift" in given.free:
         trend = "time"
     how: dict[str, Any] = {"data": data, "trend": trend}
     return {

@@ -237,8 +237,11 @@ def _of_interface(file: RunFile) -> dict[str, float]:
 
 def _explain_section(error: pydantic.ValidationError) -> str:
     """The message about the first error, one line."""
-    first = error.errors(include_url=False)[0]
-    path = [str(name) for name in first["loc"] if name not in ("Scale", "float")]
+    every = error.errors(include_url=False)
+    here = [one for one in every if one["loc"][:2] == every[0]["loc"][:2]]
+    first = max(here, key=lambda one: len(one["loc"]))  # of a choice, what fits best
+    kinds = "Scale", "float", "BlockSize", "literal['auto','none']"
+    path = [str(name) for name in first["loc"] if name not in kinds]
     field, value = ".".join(["fit", *path]), shown(first["input"])
     if first["type"] == "extra_forbidden":
         section = _FIT_SECTIONS[path[0]] if path[1:] else Fit

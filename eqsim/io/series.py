@@ -144,7 +144,8 @@ def _blocks_of_segment(y: Array, known: RowErrors, given: Array | None) -> Block
     """The blocks of a segment. Scatter is taken from stretches that are longer than its
     correlation, where it is largest, and falls with the root of the rows from there."""
     level, straight, errors = np.zeros(y.size, int), np.ones(y.size // 2, bool), []
-    longest = max(int(math.log2(max(y.size // _LEAST_STRETCHES, 4))), 2)
+    least = _LEAST_STRETCHES if given is None else 1
+    longest = int(math.log2(max(y.size // least, 4)))
     contrasts = [_contrasts(y, m) for m in range(2, longest + 1)]
     scatter = [
         float(np.median(np.abs(c))) / _MEDIAN if c.size else 0.0 for c in contrasts

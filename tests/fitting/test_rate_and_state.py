@@ -229,6 +229,28 @@ def test_chi_square_of_another_program(case):
     assert found.chi2_as_given == pytest.approx(TABLE[case], rel=0, abs=0.06)
 
 
+@pytest.mark.verification
+def test_both_laws_beside_contacts(tmp_path):
+    """A record of contacts: their fit is accepted, neither law is; one table, one
+    picture, and JSON of all three."""
+    exact = coverage.record()
+    noise = coverage.markov(np.random.default_rng(2), exact.value.size)
+    mu = exact.value + exact.sigma * noise
+    rows = [f"{t},{y}" for t, y in zip(exact.forward.time, mu, strict=True)]
+    (tmp_path / "step.csv").write_text("\n".join(["t,force", *rows]))
+    run_file = tmp_path / "run.toml"
+    run_file.write_text(coverage.RECORD.replace('file = ""', 'file = "step.csv"'))
+    words = ["fit", str(run_file), "--out", str(tmp_path / "out"), "--starts", "1"]
+    words += ["--workers", "1", "--compare", "rate-and-state"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert "contacts" in done.output
+    data = json.loads((tmp_path / "out" / "rate-and-state.json").read_text())
+    rejected = {name: one["rejected"] for name, one in data.items()}
+    assert rejected == {"contacts": False, "slip law": True, "aging law": True}
+    assert (tmp_path / "out" / "rate-and-state.png").exists()
+
+
 CSV = ("rsf", str(RUNS / "basalt-velocity-step.csv"))
 TOML = ("rsf", str(RUNS / "fit-basalt-step.toml"))
 BAD = {
@@ -244,6 +266,10 @@ BAD = {
     (*TOML, "--trend", "no"): "--trend = 'no': must be",
     (*TOML, "--stiffness", "-1"): "--stiffness = -1.0: must be",
     ("rsf", str(RUNS / "fit-synthetic.toml")): "fit.record: is required",
+    (
+        *("fit", str(RUNS / "fit-synthetic.toml"), "--out", "out"),
+        *("--compare", "rate-and-state"),
+    ): "--compare rate-and-state: must be of a record",
 }
 
 

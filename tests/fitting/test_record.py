@@ -178,6 +178,12 @@ def test_command(folder):
 BAD = {
     "column": ({"record": {"file": "record.csv", "time": "x"}}, None,
                'column "x" in its first line; found t, force (fit.record.time'),
+    "blocks": ({"record": {"file": "record.csv", "blocks": "all"}}, None,
+               "fit.record.blocks = 'all': must be \"auto\" or \"none\""),
+    "size": ({"record": {"file": "record.csv", "blocks": {"per": "way", "size": 1.0}}}, None,
+             "fit.record.blocks.per = 'way': must be \"displacement\" or \"time\""),
+    "trend": ({"free": {"fit.trend": {"bounds": [-1.0, 1.0]}}}, None,
+              'fit.trend: is required, { per = "displacement" }, or "time"'),
     "order": ({}, "t,force\n0,1\n2,1\n1,1\n", "line 4: t = 1: must be later"),
     "negative time": ({}, "t,force\n-1,1\n2,1\n", "begins before time 0"),
     "too long": ({}, "t,force\n" + "\n".join(f"{t},1" for t in range(20)), "after the programme, which takes 5"),

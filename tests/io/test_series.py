@@ -49,6 +49,7 @@ def test_blocks_that_are_given_say_what_they_smear():
     assert blocks.first.size == 51
     smeared = np.flatnonzero(~blocks.straight)
     assert 25 in smeared
+    assert smeared.size < 20
     fine = np.flatnonzero(means(t, blocks) < 40.0)
     score = (means(y, blocks) - peak(means(t, blocks)))[fine] / blocks.error[fine]
     # 20 degrees of freedom: outside in 1 of 10 000 cases
