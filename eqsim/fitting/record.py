@@ -177,7 +177,7 @@ def _words_of(blocks: Blocks, t: Array) -> str:
     rows, longest = blocks.rows, np.max(np.diff(t[blocks.first], append=t[-1]))
     said = f"{rows.size} block means of {rows.min()} to {rows.max()} rows"
     smeared = int(np.sum(~blocks.straight))
-    some = f"{smeared} of them smear what the record shows, make them smaller"
+    some = f"{smeared} of them may smear what the record shows, make them smaller"
     some = some if smeared else "no feature is smeared"
     return f"{said}, at most {longest:.3g} long in time: {some}"
 
