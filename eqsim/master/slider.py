@@ -21,6 +21,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.interpolate import Akima1DInterpolator
 
 from eqsim.errors import InputError
 from eqsim.estimate import Estimate
@@ -58,6 +59,9 @@ from eqsim.numerics.threads import ThreadPool
 _STEPS_OF_FEW_SLIPS = 6000
 # The same for discrete laws, each threshold of which begins cohorts of its own.
 _STEPS_OF_DISCRETE = 1000
+# Instants asked for at which steps end of contacts that heat breaks, whose means are
+# smooth in between; at others they are interpolated.
+_MARKS = 200
 # Error of F allowed in a step of the coarsest accuracy, in typical thresholds.
 _FORCE_TOLERANCE = 1e-4
 # Share of that error which r may cause.
@@ -437,21 +441,27 @@ def solutions_of(
     """The best solution, one of steps about twice as long, and the errors of the best.
     Raises InputError as `pulled_of` does."""
     task = task_of(ensemble, programme, grid)
+    smooth = task.spring.heat and not (task.spring.discrete or programme.motor)
+    if smooth and programme.stage is not None:
+        task = task._replace(apart=math.ceil(task.t.size / _MARKS))
     # Steps end at instants, so that solves of different accuracy, if they all had the
     # same instants, might take the same steps and not differ, whatever they miss.
     kept = np.unique(np.append(np.arange(0, task.t.size, 2), task.t.size - 1))
-    fewer, _ = solved(task._replace(t=task.t[kept]), 1)
-    best, steps = solved(task, 2)
+    fewer = solved(task._replace(t=task.t[kept]), 1).solution
+    best, steps, bent = solved(task, 2)
     coarse = best
     off = np.zeros_like(best)
     off[:, kept] = np.abs(np.array(best)[:, kept] - fewer)
+    if task.apart > 1:  # also of instants at which no step ends
+        off = largest_nearby(off, 3)
     discrete = ensemble.thresholds.steps.size > 0
     if steps <= (_STEPS_OF_DISCRETE if discrete else _STEPS_OF_FEW_SLIPS):
-        best, _ = solved(task._replace(halved=True), 4)
+        best, _, bent = solved(task._replace(halved=True), 4)
         off = np.abs(np.array(best) - coarse) + 0.5 * off
     # X where one solution has let go before another is not known
     unsure = np.isnan(off) & ~np.isnan(np.array(best))
     errors = largest_nearby(np.nan_to_num(off), 5 + off.shape[1] // 50)
+    errors += bent
     errors += 1e-6 * np.abs(np.nan_to_num(best)).max(axis=1, keepdims=True)
     numerics = task.numerics
     if numerics.course.shift:
@@ -482,11 +492,11 @@ def force_of(
     unit, time = ensemble.thresholds.scale, float(grid.t[-1])
     task = task_of(ensemble, programme, grid)
     try:
-        best, _ = solved(task, fine, most_steps, choices)
+        best = solved(task, fine, most_steps, choices).solution
     except TooManySteps:
         if not choices.given:
             raise
-        best, _ = solved(task, fine, most_steps)
+        best = solved(task, fine, most_steps).solution
     drag = drag_of(ensemble, unit / time) * best.velocity
     return np.asarray((best.force + drag * (1.0 - best.pinned)) * unit)
 
@@ -496,7 +506,8 @@ def choices_of(
 ) -> Choices:
     """Decisions of `force_of`, to be repeated; raises the same errors."""
     noted = unmade_choices(most_steps, most_steps * _FATES)
-    _, edges = solved(task_of(ensemble, programme, grid), fine, most_steps, noted)
+    task = task_of(ensemble, programme, grid)
+    edges = solved(task, fine, most_steps, noted).edges
     steps = noted.steps[: edges + 1].copy()
     fates = int(steps["first"][edges])
     if fates > noted.fates.size:
@@ -507,14 +518,15 @@ def choices_of(
 
 
 class PulledTask(NamedTuple):
-    """Task that is solved at any accuracy. Steps end at the instants `t` asked for, and
-    if `halved` in the middle between these, too."""
+    """Task that is solved at any accuracy. Steps end at one in `apart` of the instants
+    `t` asked for, and if `halved` in the middle between these, too."""
 
     numerics: Numerics
     spring: Spring
     t: Array
     halved: bool = False
     pull: Pull | None = None
+    apart: int = 1
 
 
 def task_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> PulledTask:
@@ -574,14 +586,23 @@ def _way(task: PulledTask, marks: Array) -> Way:
     return Way(marks, speeds[i], at_marks, rates[i], dampings[i])
 
 
+class Solved(NamedTuple):
+    """A solution, its number of edges of steps, and by how much means that are
+    interpolated may be wrong, shape (means, points)."""
+
+    solution: Solution
+    edges: int
+    bent: Array
+
+
 def solved(
     task: PulledTask,
     fine: float,
     most_steps: int = MOST_STEPS,
     choices: Choices = NO_CHOICES,
-) -> tuple[Solution, int]:
-    """Solve at the accuracy `fine`; returns the number of edges of steps, too. Raises
-    TooManySteps, also if given choices do not fit."""
+) -> Solved:
+    """Solve at the accuracy `fine`. Raises TooManySteps, also if given choices do not
+    fit."""
     numerics, ends = task.numerics, task.numerics.course.ends
     t = np.full(most_steps, math.inf)
     if choices.given:
@@ -592,7 +613,7 @@ def solved(
         path = path._replace(cohorts=int(first[2] - first[1]) - 1)
     path.t[0] = 0.0
     # steps end at marks, up to each of which the stage has a speed
-    marks = np.unique(np.concatenate((task.t, ends)))
+    marks = np.unique(np.concatenate((task.t[:: task.apart], task.t[-1:], ends)))
     marks = marks[(marks > 0.0) & np.append(np.diff(marks) > 1e-12, True)]
     if task.halved:
         marks = np.union1d(marks, marks - 0.5 * np.diff(marks, prepend=0.0))
@@ -606,13 +627,41 @@ def solved(
     if not slide.complete:
         said = f"or {_MOST_AT_ONCE} in a row that take no time, of the mean field"
         raise TooManySteps(f"drive: takes more than {most_steps} steps, {said}")
+    end = path.t[slide.edges - 1] if slide.lost else math.nan
+    rows = np.vstack((slide.means, path.X, np.full(path.t.size, end)))
+    if task.apart > 1:  # never of a slider that lets go
+        means, bent = _between(
+            path.t[: slide.edges], rows[:-1, : slide.edges], ends, task.t
+        )
+        never = np.full(task.t.size, math.nan)
+        bent = np.vstack((bent, np.zeros(task.t.size)))
+        return Solved(Solution(*np.vstack((means, never))), slide.edges, bent)
     seen = np.append(0.0, marks)
     seen = seen[np.searchsorted(seen, task.t * (1.0 - 1e-12))]
     index = np.searchsorted(path.t[: slide.edges], seen)
-    end = path.t[slide.edges - 1] if slide.lost else math.nan
-    rows = np.vstack((slide.means, path.X, np.full(path.t.size, end)))
     gone = index == slide.edges
     found = rows[:, np.where(gone, slide.edges - 1, index)]
     if slide.lost:
         found[:, gone] = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, math.nan, end]]).T
-    return Solution(*found), slide.edges
+    return Solved(Solution(*found), slide.edges, np.zeros_like(found))
+
+
+def _between(edges: Array, means: Array, ends: Array, t: Array) -> tuple[Array, Array]:
+    """Means at instants t, shape (means, points), between edges of steps, and how far
+    they may be wrong: by what an interpolation between every other edge misses at the
+    rest. Velocities jump at the `ends` of segments."""
+    found, bent = np.zeros((2, means.shape[0], t.size))
+    first = begin = 0
+    for end in ends:
+        last = int(np.searchsorted(edges, end * (1.0 - 1e-12)))
+        stop = int(np.searchsorted(t, end * (1.0 + 1e-12), side="right"))
+        piece, inside = slice(first, last + 1), slice(begin, stop)
+        x, y = edges[piece], means[:, piece]
+        at = np.clip(t[inside], x[0], x[-1])
+        found[:, inside] = Akima1DInterpolator(x, y, axis=1)(at)
+        even = np.union1d(x[::2], x[-1:])
+        rough = Akima1DInterpolator(even, y[:, np.searchsorted(x, even)], axis=1)
+        missed = largest_nearby(rough(x) - y, 5)
+        bent[:, inside] = [np.interp(at, x, row) for row in missed]
+        first, begin = last, stop
+    return found, bent

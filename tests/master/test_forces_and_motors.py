@@ -8,6 +8,7 @@ import pytest
 from scipy import integrate, optimize
 
 from eqsim import (
+    Aging,
     Delay,
     Delta,
     Ensemble,
@@ -19,6 +20,7 @@ from eqsim import (
     Weibull,
     transient,
 )
+from eqsim.master import slider
 
 NEVER = Delay(math.inf)
 BUNDLE = Ensemble(Weibull(2.0), delay=NEVER, stiffness_law="uniform")
@@ -182,3 +184,38 @@ def test_refused():
     )
     with pytest.raises(InputError, match="must be 0 with drive"):
         transient(BUNDLE, motor)
+
+
+def test_means_between_steps():
+    """Interpolated up to the kinks between segments, within what is said; across a kink
+    they are worse by far."""
+    edges = np.append(np.linspace(0.0, 0.4, 40), np.linspace(0.4, 1.0, 61)[1:])
+    t = np.linspace(0.0, 1.0, 777)
+
+    def means(t):
+        return np.array([np.abs(t - 0.4), np.sin(9.0 * t)])
+
+    for ends, right in ((np.array([0.4, 1.0]), True), (np.array([1.0]), False)):
+        found, bent = slider._between(edges, means(edges), ends, t)
+        off = np.abs(found - means(t))
+        assert np.all(off <= bent + 1e-12)
+        assert (off.max() < 2e-4) == right
+
+
+@pytest.mark.verification
+def test_steps_that_end_at_fewer_instants(monkeypatch):
+    """A velocity step behind a spring, with heat and thresholds that grow as ln t: the
+    mean field agrees with that whose steps end at all instants."""
+    contacts = Ensemble(
+        thermal=Thermal(0.1),
+        aging=Aging("logarithmic", beta=0.05, cutoff_time=0.1),
+        stiffness_law="uniform",
+    )
+    segments = [Segment(0.1, distance=1.0), Segment(1.0, distance=2.0)]
+    drive = Programme(segments, "stationary", 0.1, Stage(2.0))
+    found = transient(contacts, drive, 701)
+    monkeypatch.setattr(slider, "_MARKS", 1000)
+    other = transient(contacts, drive, 701)
+    assert worst(found.force, other.force, other.force_error) < 0.1
+    assert worst(found.X[1:], other.X[1:], other.X_error[1:]) < 0.1
+    assert np.all(found.force_error < 1.2 * other.force_error)
