@@ -404,6 +404,7 @@ def test_a_stiff_stage_moves_all_kinds_as_a_rigid_slider(monkeypatch, wrong):
     assert (agree and missing < 1e-3) == (not wrong)
 
 
+@pytest.mark.verification
 def test_a_stage_pulls_identical_populations_as_one():
     """Stick-slip of 16 replicas each; populations have other units than the ensemble.
     |z| < 4.5 of X and force at ten instants (one false alarm in 7000)."""

@@ -205,12 +205,9 @@ def test_transients(law):
     assert largest_z(other, transient(contacts, Drive(1.0, 8.0), points=81)) > 4.5
 
 
-HOLDS = [
-    (law, start) for law in (GAMMA, LOGNORMAL) for start in ("fresh", "stationary")
-]
-
-
-@chosen(("law", "start"), HOLDS, [(GAMMA, "stationary")])
+@pytest.mark.verification
+@pytest.mark.parametrize("start", ["fresh", "stationary"])
+@pytest.mark.parametrize("law", [GAMMA, LOGNORMAL])
 def test_programmes_with_a_hold(law, start):
     """There, at rest, and back, 1e5 warm contacts: |z| < 4.5. Negative control: a
     gamma delay in the place of a lognormal one, and the reverse."""
