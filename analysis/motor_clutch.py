@@ -244,6 +244,7 @@ def main(
     script: Annotated[bool, typer.Option(help="run the script, too")] = True,
 ) -> None:
     """Simulate, compare and draw."""
+    out.mkdir(parents=True, exist_ok=True)
     substrates = np.geomspace(1e-2, 1e2, points).round(12)
     found = table(substrates, script)
     found.to_parquet(out / "motor_clutch.parquet")
