@@ -1,4 +1,4 @@
-"""What contacts say of a, b and D_c of rate-and-state friction.
+"""Find a, b and D_c of rate-and-state friction that contacts have.
 
     python -m analysis.rate_and_state
 

@@ -1,7 +1,6 @@
 """Force of an ensemble along a programme of segments, event driven: exact in time, also
 in holds and reversals."""
 
-import functools
 import math
 from dataclasses import replace
 from functools import lru_cache
@@ -228,7 +227,7 @@ def steps_of(
 
 
 # It takes as long as the run of a few contacts, whose next seed asks for it again.
-@functools.lru_cache(maxsize=32)
+@lru_cache(maxsize=32)
 def cycles(ensemble: Ensemble, programme: Programme) -> tuple[float, ...]:
     """Predict about how many lives of a contact begin in each segment."""
     found = []

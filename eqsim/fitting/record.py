@@ -173,7 +173,7 @@ def _blocks(
 
 
 def _words_of(blocks: Blocks, t: Array) -> str:
-    """What was averaged, and how much of it is smeared."""
+    """Say what was averaged, and how much of it is smeared."""
     rows, longest = blocks.rows, np.max(np.diff(t[blocks.first], append=t[-1]))
     said = f"{rows.size} block means of {rows.min()} to {rows.max()} rows"
     smeared = int(np.sum(~blocks.straight))
@@ -271,7 +271,7 @@ class RecordForward:
 
 
 def shapes(file: RunFile, fit: Fit, t: Array) -> dict[str, Array]:
-    """What "fit.offset", "fit.drift" and "fit.trend" add to a record at times `t`, where
+    """Shapes of "fit.offset", "fit.drift" and "fit.trend" in a record at times `t`, where
     they are 1. Raises InputError."""
     found = {"fit.offset": np.ones(t.size), "fit.drift": t - t.mean()}
     if fit.trend is not None:

@@ -175,7 +175,7 @@ def read(path: Path, field: str, decimal: str | None = None) -> Sheet:
 
 
 def _dialect(lines: list[str], decimal: str) -> tuple[str, str]:
-    """What separates cells, and the decimal sign unless it is given: the pair of them
+    """Find what separates cells, and the decimal sign unless it is given: the pair
     with which the largest share of cells are numbers, in rows as wide as the first."""
     best, found = 0.0, ("", "")
     for separator, sign in itertools.product(_BETWEEN, decimal or ".,"):

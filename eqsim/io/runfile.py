@@ -8,7 +8,6 @@ refused.
 import copy
 import functools
 import math
-import re
 import tomllib
 import typing
 from collections.abc import Callable, Iterator
@@ -39,6 +38,7 @@ from eqsim.io.units import (
     Quantity,
     Row,
     Units,
+    number_and_unit,
     over_contacts,
     quantities,
     rows_of,
@@ -423,10 +423,9 @@ class RunFile(Listed):
         known."""
         stage = self["drive.stage"] or {}
         if text := stage.get("machine_stiffness"):
-            number = re.match(r"\s*[\d.]+(e[-+]?\d+)?", text, re.IGNORECASE)
-            assert number
-            value = float(number[0]) * stiffness / stage["stiffness"]
-            return f"{value:.5g}{text[number.end() :]}"
+            number, unit = number_and_unit(text)
+            assert number is not None
+            return f"{number * stiffness / stage['stiffness']:.5g}{unit}"
         unit = self.units.label(catalogue.dimension("force/length"))
         forces = (one for one in self.quantities if one.name == "force")
         return next((f"{one.factor * stiffness:.5g} {unit}" for one in forces), "")

@@ -157,7 +157,7 @@ def keys_of(section: str) -> dict[str, Key]:
 
 
 class KeyRow(NamedTuple):
-    """What the documentation says of a key, in Markdown."""
+    """Row of a key in the documentation, in Markdown."""
 
     key: str  # without its section
     default: str

@@ -192,7 +192,7 @@ def _row_scatter(y: Array, m: int) -> float:
 
 
 def _contrasts(y: Array, m: int) -> Array:
-    """What a line has none of, shape (2, stretches of 2^m rows)."""
+    """Contrasts, of which a line has none, shape (2, stretches of 2^m rows)."""
     count = y.size >> m
     quarters = y[: count << m].reshape(count, 4, -1) if count else np.empty((0, 4, 1))
     shapes = np.array(

@@ -288,14 +288,21 @@ def quantities(
 _SI = {"m": "length", "s": "time", "N": "force", "Pa": "force/length^2"}
 
 
+def number_and_unit(text: str) -> tuple[float | None, str]:
+    """The number that a text such as "50 N/mm" begins with, None if it does not, and
+    what follows it."""
+    number = re.match(r"\s*\d*\.?\d+(e[-+]?\d+)?", text, re.IGNORECASE)
+    return (float(number[0]), text[number.end() :]) if number else (None, text)
+
+
 def measured(text: str) -> tuple[float, Dimension] | None:
     """Value in SI units and dimension of a text such as "50 N/mm"; None if it has no
     known unit."""
-    number = re.match(r"\s*\d*\.?\d+(e[-+]?\d+)?", text, re.IGNORECASE)
-    if not number:
+    number, unit = number_and_unit(text)
+    if number is None:
         return None
-    value, powers = float(number[0]), dict.fromkeys(Dimension._fields, 0)
-    for below, part in enumerate(text[number.end() :].split("/")):
+    value, powers = number, dict.fromkeys(Dimension._fields, 0)
+    for below, part in enumerate(unit.split("/")):
         for name, power in re.findall(r"([^\s^*]+)(?:\^(\d))?", part):
             base = next(
                 (one for one in ("Pa", "m", "s", "N") if name.endswith(one)), ""

@@ -105,7 +105,7 @@ def _trapezoid(nodes: Array, x: Array) -> Array:
 
 
 def _cut(segment: Segment, node: int) -> list[Segment]:
-    """What is left of a segment after one of its equidistant instants, if anything."""
+    """Find the rest of a segment after one of its equidistant instants, if anything."""
     points = (segment.points or 0) - node
     if points <= 0:
         return []
@@ -131,7 +131,7 @@ def under_load(births: Sequence[Births], results: Sequence[Any]) -> Any:
 
 
 class _Share(NamedTuple):
-    """What `mixture.summed` multiplies results by, arrays (points,)."""
+    """Factors by which `mixture.summed` multiplies results, arrays (points,)."""
 
     weight: Array
     share: Array
