@@ -148,13 +148,8 @@ def test_commands_have_at_most_seventy_lines():
     assert {where: lines for where, lines in found.items() if lines > 70} == {}
 
 
-def test_every_package_is_installed():
-    """A wheel holds what pyproject.toml lists."""
-    found = {
-        ".".join(path.parent.relative_to(ROOT).parts)
-        for path in (ROOT / "eqsim").rglob("__init__.py")
-    }
-    assert sorted(PROJECT["tool"]["setuptools"]["packages"]) == sorted(found)
+def test_every_folder_is_a_package():
+    """A folder without a module of its own would be found by some imports only."""
     folders = {path.parent for path in (ROOT / "eqsim").rglob("*.py")}
     assert all((folder / "__init__.py").exists() for folder in folders)
 
