@@ -97,7 +97,7 @@ def test_healing_per_decade(tmp_path):
     text += "[aging]\nrule = 'logarithmic'\nbeta = 0.05\ncutoff_time = 0.1\n"
     text += f"[drive]\nvelocity = 1.0\nstart = 'stationary'\nprogramme = [{moves}]\n"
     (tmp_path / "run.toml").write_text(text)
-    done = call("run", tmp_path / "run.toml", "--out", tmp_path / "out")
+    done = call("run", tmp_path / "run.toml", "--no-exact", "--out", tmp_path / "out")
     assert done.exit_code == 0, done.output
     assert "per decade, logarithmic beyond" in done.output
     assert (tmp_path / "out" / "healing.png").stat().st_size > 10_000
@@ -186,12 +186,8 @@ def test_bad_programmes_leave_nothing(path, tmp_path):
             "drive.programme.2.hold = -1.0: must be a finite number > 0",
         ),
         ("drive.programme.7.hold=1.0", "drive.programme.7.hold"),
-        ('disorder="annealed"', None),
     ):
         result = call("run", path, "--out", out, "--set", change)
-        if message is None:
-            assert result.exit_code == 0, result.output
-            continue
         assert result.exit_code == 2
         assert message in " ".join(result.output.split())
         assert not out.exists()

@@ -181,7 +181,7 @@ def test_unstretched_contacts_by_brute_force():
         stiffness_law="uniform",
     )
     rng = np.random.default_rng(1)
-    exact = np.array([brute_life(ensemble, 1.2, 2.0, rng) for _ in range(10_000)])
+    exact = np.array([brute_life(ensemble, 1.2, 2.0, rng) for _ in range(3_000)])
     for delay, within in ((2.0, True), (1.0, False)):
         again = replace(ensemble, delay=Delay(delay, "exponential"))
         run = trajectory(again, under(1.2, 3), points=2, replicas=100_000)

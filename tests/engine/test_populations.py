@@ -377,7 +377,7 @@ def test_threads_do_not_change_a_bit():
 # ---- behind a stage ----
 
 
-@pytest.mark.parametrize("wrong", [False, True])
+@chosen("wrong", [False, True], [False])
 def test_a_stiff_stage_moves_all_kinds_as_a_rigid_slider(monkeypatch, wrong):
     """A spring of 2000 N k: X is the stage's to F/2000. |z| < 4.5 in the quoted error
     and the difference of X, and energies add up; not if lengths of a kind are taken for

@@ -222,7 +222,7 @@ def test_programmes_with_a_hold(law, start):
         assert largest_z(trajectory(other, programme, points=61), exact) > 4.5
 
 
-@chosen("law", [GAMMA, LOGNORMAL], [GAMMA])
+@chosen("law", [GAMMA, LOGNORMAL], [])
 def test_behind_a_stage(law):
     """8 ensembles of 2e4 contacts, with a hold: |z| < 4.5, which the other law
     exceeds."""
