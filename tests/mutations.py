@@ -666,7 +666,7 @@ MISTAKES = [
       "y = 0.9 * (now.X + now.moved)", "test_events.py::test_mean_life_of_bonds"),
     M("avalanches: force kept by broken contacts", "engine/avalanches.py", "now.force -= stiffness",
       "now.force -= 0.99 * stiffness", "test_slider.py::test_avalanches_one_by_one"),
-    M("blocks: an edge that reflects nothing", "engine/elastic.py", "if begin < end:",
+    M("blocks: an edge that reflects nothing", "engine/lattice.py", "if begin < end:",
       "if begin < end and (image == 0 or r.periodic):", "test_elastic.py::test_avalanches_one_by_one"),
     M("blocks: contacts that break early", "engine/elastic.py", "b.contact[block], position + b.xi",
       "b.contact[block], position + 0.99 * b.xi", "test_elastic.py::test_avalanches_one_by_one"),

@@ -20,35 +20,45 @@ import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from eqsim.engine import block_events
 from eqsim.engine.avalanches import events_of, put_back
 from eqsim.engine.blocks import require_lives
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import draw_birth
+from eqsim.engine.lattice import (
+    LEAF,
+    Response,
+    lowest_block,
+    response_of,
+    rounded,
+    spread,
+)
 from eqsim.engine.records import ElasticTrajectory, by_replica
 from eqsim.engine.scatter import births, scatter
+from eqsim.engine.trajectory import predicted_lives
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate, drifts, ratio
 from eqsim.model.drive import Drive, Output
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
-from eqsim.numerics.compiled import kernel, routine
+from eqsim.numerics.compiled import kernel
 from eqsim.numerics.streams import TRAJECTORY, Key
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool, interruptibly
 
-_LEAF = 32  # blocks whose lowest threshold is a leaf of the tree
 _MOST_BATCHES = 16  # of the second half of a run, whose scatter tells the error
 _SHORTEST_BATCH = 1.5  # displacement of the plate, in mean thresholds
+_FORGOTTEN = 5.0  # mean thresholds, after which warm contacts know no fresh start
 _RELIABLE_FROM = 8  # batches or replicas whose scatter tells the error of their mean
 _BETWEEN_PAUSES = 1e6  # breaks between moments at which a signal may stop a run
 _MOST_RECORDS = 20_000_000  # of all blocks and replicas: some 1 GB of memory
 _MOST_AVALANCHES = 30_000_000  # of all replicas: some 2 GB of memory
-_TO_WHOLE = 6755399441055744.0  # 1.5 * 2^52, beside which only whole numbers are left
 
 # Why contacts and drives are refused.
 _BACKWARDS = "a contact born with more stretch than the last would move its block back"
@@ -82,7 +92,7 @@ _BLOCK_AVALANCHE = np.dtype(
 )
 
 # A block at an instant.
-_BLOCK_STATE = np.dtype(
+BLOCK_STATE = np.dtype(
     [
         ("X", np.float64),
         ("force", np.float64),
@@ -99,30 +109,12 @@ class Blocks(NamedTuple):
     contact: Array  # (B, n), which ones
     xi: Array  # (B n,), thresholds of contacts
     lives: Array  # (B n,), that have been drawn
-    h: Array  # thresholds of blocks, with room to a multiple of `_LEAF`
+    h: Array  # thresholds of blocks, with room to a multiple of `LEAF`
     births: Array  # (B,), sum over contacts of the positions of their births
     squares: Array  # (B,), of the squares of these
     breaks: Array  # (B,), so far
     last: Array  # (B,), avalanche that has broken contacts
     tree: Array  # lowest thresholds, a binary tree from node 1 on
-
-
-class Response(NamedTuple):
-    """Displacements of all blocks after a break, on their lattice."""
-
-    G: Array  # `Elastic.response`
-    reach: Array  # largest column distance of a block that moves, for each row of G
-    nx: int  # columns
-    ny: int  # rows
-    periodic: bool
-    unit: float  # a power of 2, of which positions are multiples
-
-
-@routine(inline=True)
-def _rounded(x: float, unit: float) -> float:
-    """Nearest multiple of a power of 2."""
-    big = unit * _TO_WHOLE
-    return (x + big) - big
 
 
 @kernel
@@ -132,7 +124,7 @@ def pin_all(laws: Contacts, key: Key, first: int, unit: float, b: Blocks) -> Non
     for j in range(blocks):
         for contact in range(j * n, (j + 1) * n):
             xi = draw_birth(laws.newborn, laws, key, first + contact, 0).threshold
-            b.xi[contact] = _rounded(xi, unit)
+            b.xi[contact] = rounded(xi, unit)
             b.lives[contact] = 1
         order = np.argsort(b.xi[j * n : (j + 1) * n])
         for i in range(n):
@@ -140,98 +132,11 @@ def pin_all(laws: Contacts, key: Key, first: int, unit: float, b: Blocks) -> Non
             b.position[j, i] = b.xi[b.contact[j, i]]
         b.h[j] = b.position[j, 0]
     leaves = b.tree.size // 2
-    for segment in range(b.h.size // _LEAF):
-        begin = segment * _LEAF
-        b.tree[leaves + segment] = b.h[begin : begin + _LEAF].min()
+    for segment in range(b.h.size // LEAF):
+        begin = segment * LEAF
+        b.tree[leaves + segment] = b.h[begin : begin + LEAF].min()
     for node in range(leaves - 1, 0, -1):
         b.tree[node] = min(b.tree[2 * node], b.tree[2 * node + 1])
-
-
-class Reached(NamedTuple):
-    """Blocks `begin` to `end` that a break moves; block k by G[row, offset + k]."""
-
-    row: int
-    offset: int
-    begin: int
-    end: int
-
-
-@routine(inline=True)
-def _push(b: Blocks, r: Response, reached: Reached, force: float) -> None:
-    """Move blocks, and mend the tree. Indices are unsigned, so that numba does not look
-    for ones that count from the end, and loops vectorise. Four chains of minima do not
-    wait for each other."""
-    row, begin, end = reached.row, reached.begin, reached.end
-    big = r.unit * _TO_WHOLE
-    start, shift = np.uint64(begin), np.uint64(reached.offset + begin)
-    for k in range(np.uint64(end - begin)):
-        b.h[start + k] -= (r.G[row, shift + k] * force + big) - big
-    leaves = b.tree.size // 2
-    low, high = begin // _LEAF, (end - 1) // _LEAF
-    for leaf in range(low, high + 1):
-        j = np.uint64(leaf * _LEAF)
-        m0 = b.h[j]
-        m1 = b.h[j + np.uint64(1)]
-        m2 = b.h[j + np.uint64(2)]
-        m3 = b.h[j + np.uint64(3)]
-        for _ in range(np.uint64(1), np.uint64(_LEAF // 4)):
-            j += np.uint64(4)
-            m0 = min(b.h[j], m0)
-            m1 = min(b.h[j + np.uint64(1)], m1)
-            m2 = min(b.h[j + np.uint64(2)], m2)
-            m3 = min(b.h[j + np.uint64(3)], m3)
-        b.tree[leaves + leaf] = min(min(m0, m1), min(m2, m3))
-    low, high, changed = (leaves + low) // 2, (leaves + high) // 2, True
-    while changed and low > 0:
-        changed = False
-        for node in range(low, high + 1):
-            lowest = min(b.tree[2 * node], b.tree[2 * node + 1])
-            changed |= lowest != b.tree[node]
-            b.tree[node] = lowest
-        low //= 2
-        high //= 2
-
-
-@routine(inline=True)
-def _spread(b: Blocks, r: Response, block: int, force: float) -> None:
-    """Move all blocks after a drop of the force at `block`, which is divided by n k."""
-    nx, ny = r.nx, r.ny
-    x, y = block % nx, block // nx
-    far, middle = r.G.shape[0] // 2, r.G.shape[1] // 2
-    around_x = nx if r.periodic else 2 * nx
-    around_y = ny if r.periodic else 2 * ny
-    for dy in range(-min(far, (around_y - 1) // 2), min(far, around_y // 2) + 1):
-        row, line = far + dy, y + dy
-        if line < 0:
-            line = line + ny if r.periodic else -1 - line
-        elif line >= ny:
-            line = line - ny if r.periodic else 2 * ny - 1 - line
-        left = min(r.reach[row], (around_x - 1) // 2)
-        right = min(r.reach[row], around_x // 2)
-        for image in range(-1, 2):  # around the ring, or mirrored at the edges
-            if image == 0 or r.periodic:
-                offset = middle - x + image * nx
-                begin = max(0, middle - left - offset)
-                end = min(nx, middle + right + 1 - offset)
-            else:
-                offset = middle + x + 1 - (image + 1) * nx
-                begin = max(0, middle - right - offset)
-                end = min(nx, middle + left + 1 - offset)
-            if begin < end:
-                at = line * nx
-                _push(b, r, Reached(row, offset - at, at + begin, at + end), force)
-
-
-@routine(inline=True)
-def _lowest(b: Blocks) -> int:
-    """Find the block with the lowest threshold."""
-    leaves, lowest, node = b.tree.size // 2, b.tree[1], 1
-    while node < leaves:
-        node = 2 * node if b.tree[2 * node] == lowest else 2 * node + 1
-    j = (node - leaves) * _LEAF
-    while b.h[j] != lowest:
-        j += 1
-    return j
 
 
 @kernel
@@ -271,11 +176,11 @@ def raise_level(
                 now.level = until
                 return rows, True
             now.level = lowest
-            now.block = _lowest(b)
+            now.block = lowest_block(b)
             now.blocks = 0
             now.released = 0.0
             now.avalanches += 1
-        block = _lowest(b)
+        block = lowest_block(b)
         contact = b.contact[block, 0]
         position = b.position[block, 0]
         xi = b.xi[contact]
@@ -291,11 +196,11 @@ def raise_level(
         now.work += 0.5 * xi * xi
         lives, number = b.lives[contact], first + contact
         born = draw_birth(laws.newborn, laws, key, number, lives)
-        b.xi[contact] = _rounded(born.threshold, r.unit)
+        b.xi[contact] = rounded(born.threshold, r.unit)
         b.lives[contact] = lives + 1
         put_back(b.position[block], b.contact[block], position + b.xi[contact])
         b.h[block] += b.position[block, 0] - position
-        _spread(b, r, block, xi / n)
+        spread(r, b, block, xi / n)
 
 
 def check_elastic(
@@ -308,13 +213,12 @@ def check_elastic(
     elastic = drive.elastic
     if elastic is None:
         raise InputError("drive.elastic: is required, the blocks that the plate pulls")
-    elastic.contacts_per_block(ensemble.count)
-    thermal, delay, eta = ensemble.thermal, ensemble.delay.time, ensemble.eta
+    elastic.contacts_of(ensemble.count)
+    delay, eta = ensemble.delay.time, ensemble.eta
     drag = ensemble.viscosity.force
     aging, born, springs = ensemble.aging, ensemble.newborn, ensemble.stiffness_law
     fresh = drive.start == "fresh"
     refused = {
-        "thermal.kT": (thermal.active, thermal.kT, 0, "heat needs time"),
         "delay.time": (delay > 0, delay, 0, "a delay needs time"),
         "aging.rule": (aging.active, aging.rule, "none", "aging needs time"),
         "newborn.law": (born.active, born.law, "unstressed", _BACKWARDS),
@@ -327,20 +231,23 @@ def check_elastic(
         if wrong:
             raise InputError(
                 f"{name} = {json.dumps(value)}: must be {json.dumps(allowed)} with "
-                f"[elastic], whose blocks move quasi-statically at T = 0: {why}"
+                f"[elastic], whose blocks move quasi-statically: {why}"
             )
     distance = drive.over(ensemble) / ensemble.thresholds.mean
     require_number("distance / threshold", distance, least=1e-6, most=1e6)
     lives = ensemble.count * replicas * (1.0 + distance)
+    if ensemble.thermal.active:
+        lives = predicted_lives(ensemble, replace(drive, elastic=None), replicas)
     require_lives(lives, max_lives)
     if points * elastic.count * replicas > _MOST_RECORDS:
         raise InputError(
             f"output.points = {points}: records of all blocks and replicas must be <= "
             f"{_MOST_RECORDS:.0e} in number"
         )
-    if lives / elastic.mean_size > _MOST_AVALANCHES:
+    size = 1.0 if ensemble.thermal.active else elastic.mean_size
+    if lives / size > _MOST_AVALANCHES:
         raise InputError(
-            f"this run has about {lives / elastic.mean_size:.3g} avalanches, more than "
+            f"this run has about {lives / size:.3g} avalanches, more than "
             f"{_MOST_AVALANCHES:.0e}; fewer contacts.count or a shorter drive.distance "
             "has fewer"
         )
@@ -360,9 +267,9 @@ class _Totals(NamedTuple):
 class _Replica(NamedTuple):
     """Record of a replica."""
 
-    records: Array  # `_BLOCK_STATE`, shape (points, B)
+    records: Array  # `BLOCK_STATE`, shape (points, B)
     totals: _Totals
-    avalanches: Array  # `_BLOCK_AVALANCHE`
+    avalanches: dict[str, Array]  # columns
     breaks: int
 
 
@@ -384,9 +291,9 @@ class _Interface(NamedTuple):
     ) -> "_Interface":
         unit, mean = ensemble.thresholds.scale, ensemble.thresholds.mean
         distance, count = drive.over(ensemble), ensemble.count
-        response = _response_of(elastic, distance / unit)
+        response = response_of(elastic, distance / unit)
         # Blocks follow a share of the plate's motion at once.
-        levels = np.linspace(0.0, distance / unit * (1.0 - elastic.load), points)
+        levels = np.linspace(0.0, distance / unit * (1.0 - elastic.branching), points)
         batches = np.clip(0.5 * distance / mean / _SHORTEST_BATCH, 2, _MOST_BATCHES)
         edges = np.linspace(0.5 * levels[-1], levels[-1], int(batches) + 1)
         between = math.ceil(count * distance / mean / _BETWEEN_PAUSES)
@@ -394,68 +301,118 @@ class _Interface(NamedTuple):
         laws, key = contacts(ensemble, drive.velocity), key_of(seed, TRAJECTORY)
         return cls(laws, key, count, elastic, response, levels, edges, pauses)
 
+    def begun(self) -> "_Interface":
+        """The same at the beginning, with a contact for each block."""
+        none, levels = np.empty(0), self.levels[:1]
+        few = self.elastic.count
+        return self._replace(contacts=few, levels=levels, edges=none, pauses=none)
+
+    def simulate(self, replica: int, told: Callable[[int], None]) -> _Replica:
+        """Follow a replica. `told` gets the number of breaks since, now and then."""
+        laws, key, count, elastic, response, levels, edges, pauses = self
+        n = count // elastic.count
+        first = replica * count
+        b = _blocks_of(elastic, n)
+        pin_all(laws, key, first, response.unit, b)
+        state = np.zeros(1, _PROGRESS)
+        now = state[0]
+        records, totals, events = [], [], []
+        for level in np.unique(np.concatenate((levels, edges, pauses))):
+            before = int(now["breaks"])
+            loaded = laws, key, first, b, response, state, level
+            events.append(events_of(_BLOCK_AVALANCHE, raise_level, *loaded))
+            told(int(now["breaks"]) - before)
+            X = b.position[:, 0] - b.h[: elastic.count] + level
+            if level in levels:
+                record = np.empty(X.size, BLOCK_STATE)
+                record["X"] = X
+                record["force"] = X - b.births / n
+                record["variance"] = np.maximum(
+                    b.squares / n - (b.births / n) ** 2, 0.0
+                )
+                record["breaks"] = b.breaks
+                records.append(record)
+            if level in edges:
+                stored = 0.5 * (n * X**2 - 2.0 * X * b.births + b.squares)
+                area = (now["work"] + stored.sum()) / n
+                counts = (now[name] for name in ("breaks", "avalanches", "singles"))
+                totals.append((area, X.sum(), *counts))
+        batches = _Totals(*np.reshape(totals, (-1, 5)).T)
+        every, share = np.concatenate(events), 1.0 - elastic.branching
+        # Force is lost by breaks and gained by the motion that they cause: what is left of
+        # the loss is the share of the plate's motion that blocks follow at once.
+        columns = {
+            "D": every["level"] / share,
+            **{name: every[name] for name in ("block", "breaks", "blocks")},
+            "drop": every["released"] * (share / count),
+        }
+        return _Replica(np.array(records), batches, columns, int(now["breaks"]))
+
+
+class _WarmInterface(NamedTuple):
+    """The same of contacts that break by heat, or blocks that differ."""
+
+    contacts: int
+    blocks: block_events.Interface
+    instants: block_events.Instants
+    points: int
+
+    @classmethod
+    def of(
+        cls, ensemble: Ensemble, drive: Drive, elastic: Elastic, points: int, seed: int
+    ) -> "_WarmInterface":
+        blocks = block_events.interface_of(ensemble, elastic, drive.velocity, seed)
+        distance = drive.over(ensemble)
+        end = distance / ensemble.thresholds.scale
+        times = np.linspace(0.0, end, points)
+        batches = 0.5 * distance / ensemble.thresholds.mean / _SHORTEST_BATCH
+        edges = 1 + int(np.clip(batches, 2, _MOST_BATCHES))
+        lives = predicted_lives(ensemble, replace(drive, elastic=None), 1)
+        between = math.ceil(lives / _BETWEEN_PAUSES)
+        instants = block_events.Instants(
+            times,
+            np.linspace(0.5 * end, end, edges),
+            np.linspace(0.0, end, 1 + between),
+        )
+        return cls(ensemble.count, blocks, instants, points)
+
+    def begun(self) -> "_WarmInterface":
+        zero = np.zeros(1)
+        return self._replace(instants=block_events.Instants(zero, zero, zero), points=1)
+
+    def simulate(self, replica: int, told: Callable[[int], None]) -> _Replica:
+        records = np.empty((self.points, self.blocks.share.size), BLOCK_STATE)
+        totals, found = block_events.simulate(
+            self.blocks, replica, self.instants, records, told
+        )
+        impulse, *others = totals.T
+        names = ("block", "breaks", "blocks", "by_heat")
+        columns = {
+            "D": found["time"],
+            **{name: found[name] for name in names},
+            "drop": found["drop"] / records.shape[1],
+            "before": found["before"] / records.shape[1],
+        }
+        breaks = int(records["breaks"][-1].sum())
+        return _Replica(records, _Totals(impulse, *others), columns, breaks)
+
 
 def _blocks_of(elastic: Elastic, n: int) -> Blocks:
     """Make blocks of n contacts each, to be prepared."""
     B = elastic.count
-    filled = -(-B // _LEAF)  # leaves
+    filled = -(-B // LEAF)  # leaves
     leaves = 1 << (filled - 1).bit_length()
     return Blocks(
         position=np.empty((B, n)),
         contact=np.empty((B, n), np.int64),
         xi=np.empty(B * n),
         lives=np.empty(B * n, np.int64),
-        h=np.full(filled * _LEAF, math.inf),
+        h=np.full(filled * LEAF, math.inf),
         births=np.zeros(B),
         squares=np.zeros(B),
         breaks=np.zeros(B, np.int64),
         last=np.zeros(B, np.int64),
         tree=np.full(2 * leaves, math.inf),
-    )
-
-
-def _response_of(elastic: Elastic, distance: float) -> Response:
-    """Response for a plate that moves by `distance`; 51 bits hold every position."""
-    G = elastic.response()
-    from_middle = np.abs(np.arange(G.shape[1]) - G.shape[1] // 2)
-    reach = np.max(np.where(G != 0.0, from_middle, 0), axis=1)
-    unit = 2.0 ** (math.ceil(math.log2(distance + 16.0)) - 51)
-    return Response(G, reach, *elastic.shape, elastic.edges == "periodic", unit)
-
-
-def _simulate(
-    interface: _Interface, replica: int, told: Callable[[int], None]
-) -> _Replica:
-    """Follow a replica. `told` gets the number of breaks since, now and then."""
-    laws, key, count, elastic, response, levels, edges, pauses = interface
-    n = count // elastic.count
-    first = replica * count
-    b = _blocks_of(elastic, n)
-    pin_all(laws, key, first, response.unit, b)
-    state = np.zeros(1, _PROGRESS)
-    now = state[0]
-    records, totals, events = [], [], []
-    for level in np.unique(np.concatenate((levels, edges, pauses))):
-        before = int(now["breaks"])
-        loaded = laws, key, first, b, response, state, level
-        events.append(events_of(_BLOCK_AVALANCHE, raise_level, *loaded))
-        told(int(now["breaks"]) - before)
-        X = b.position[:, 0] - b.h[: elastic.count] + level
-        if level in levels:
-            record = np.empty(X.size, _BLOCK_STATE)
-            record["X"] = X
-            record["force"] = X - b.births / n
-            record["variance"] = np.maximum(b.squares / n - (b.births / n) ** 2, 0.0)
-            record["breaks"] = b.breaks
-            records.append(record)
-        if level in edges:
-            stored = 0.5 * (n * X**2 - 2.0 * X * b.births + b.squares)
-            area = (now["work"] + stored.sum()) / n
-            counts = (now[name] for name in ("breaks", "avalanches", "singles"))
-            totals.append((area, X.sum(), *counts))
-    batches = _Totals(*np.reshape(totals, (-1, 5)).T)
-    return _Replica(
-        np.array(records), batches, np.concatenate(events), int(now["breaks"])
     )
 
 
@@ -520,13 +477,12 @@ def elastic_trajectory(
     output = Output(points, seed, replicas)
     elastic, _ = check_elastic(ensemble, drive, output, max_lives)
     unit, count = ensemble.thresholds.scale, ensemble.count
-    interface = _Interface.of(ensemble, drive, elastic, points, seed)
-    none, levels = np.empty(0), interface.levels[:1]
-    nothing = interface._replace(
-        contacts=elastic.count, levels=levels, edges=none, pauses=none
-    )
+    kind: type[_Interface | _WarmInterface] = _Interface
+    if ensemble.thermal.active or elastic.differ:
+        kind = _WarmInterface
+    interface = kind.of(ensemble, drive, elastic, points, seed)
     # Kernels are compiled here, so that seconds are those of the work.
-    interruptibly(_simulate, nothing, 0, lambda _: None)
+    interruptibly(interface.begun().simulate, 0, lambda _: None)
     begin = time.perf_counter()
     runs = _all(interface, replicas, threads, progress)
     seconds = time.perf_counter() - begin
@@ -543,11 +499,18 @@ def elastic_trajectory(
     X, force = X.mean(axis=0), force.mean(axis=0)
     estimates = _estimates(runs, unit)
     error = (estimates[0].stderr or 0.0) / unit
-    over = _transient_is_over(interface.laws, X, error)
+    if isinstance(interface, _Interface):
+        over = _transient_is_over(interface.laws, X, error)
+    else:
+        over = X[X.size // 2] > _FORGOTTEN * ensemble.thresholds.mean / unit
     averages = [replace(one, reliable=one.reliable and over) for one in estimates]
     friction, size, single = averages
-    of = elastic, count, unit, drive.velocity
-    events = [_avalanches(run.avalanches, *of) for run in runs]
+    events = []
+    for run in runs:
+        for name in ("D", "drop", "before"):
+            if name in run.avalanches:
+                run.avalanches[name] = run.avalanches[name] * unit
+        events.append({"t": run.avalanches["D"] / drive.velocity, **run.avalanches})
     blocks = by_replica([_of_blocks(run.records, t, D, unit) for run in runs])
     return ElasticTrajectory(
         D=D,
@@ -571,7 +534,7 @@ def elastic_trajectory(
 
 
 def _all(
-    interface: _Interface,
+    interface: _Interface | _WarmInterface,
     replicas: int,
     threads: int,
     progress: Callable[[int], None] | None,
@@ -587,11 +550,8 @@ def _all(
         if progress:
             progress(lives)
 
-    def simulated(replica: int) -> _Replica:
-        return _simulate(interface, replica, told)
-
     with ThreadPool(max(1, threads)) as pool:
-        return list(pool.map(simulated, range(replicas)))
+        return list(pool.map(partial(interface.simulate, told=told), range(replicas)))
 
 
 def _estimates(
@@ -627,19 +587,6 @@ def _transient_is_over(laws: Contacts, X: Array, error: float) -> bool:
     moments = late.at(np.linspace(X[X.size // 2], X[-1], 1025))
     change = abs(np.mean(moments.mean) - level.mean[0])
     return bool(change <= 0.5 * error + 1e-9 * level.mean[0])
-
-
-def _avalanches(
-    events: Array, elastic: Elastic, count: int, unit: float, velocity: float
-) -> dict[str, Array]:
-    """Avalanches of a replica by column, in the user's units. Force is lost by breaks
-    and gained by the motion that they cause: what is left of the loss is the share of
-    the plate's motion that blocks follow at once."""
-    share = 1.0 - elastic.load
-    D = events["level"] * (unit / share)
-    columns = {name: events[name] for name in ("block", "breaks", "blocks")}
-    drop = events["released"] * (unit * share / count)
-    return {"t": D / velocity, "D": D, **columns, "drop": drop}
 
 
 def _of_blocks(records: Array, t: Array, D: Array, unit: float) -> dict[str, Array]:

@@ -1,14 +1,14 @@
-"""Blocks of contacts that feel each other through springs, quasi-statically at T = 0
-(derived).
+"""Blocks of contacts that feel each other through springs, quasi-statically (derived).
 
-Block j has n contacts, a spring K_d to a plate at D, and springs kappa_b to its
-neighbours:
+Block j has n contacts, or n_j in proportion to its load, a spring K_j to a plate at D,
+and springs kappa_b to its neighbours:
 
-    K_d (D - X_j) - kappa_b (L X)_j = F_j(X_j),
+    K_j (D - X_j) - kappa_b (L X)_j = F_j(X_j),
     (L X)_j = sum over neighbours i of X_j - X_i.
 
-Contacts break where X_j takes them; a break at block i whose contact loses the force k
-xi moves block j by G_ji k xi, G = ((K_d + n k) 1 + kappa_b L)^-1.
+K_j = K_d of every block; or of the first one alone, the edge. Contacts break where X_j
+takes them, or by heat before; a break at block i whose contact loses the force k x
+moves block j by G_ji k x, G = (diag(K_j + n_j k) + kappa_b L)^-1.
 """
 
 import math
@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy import sparse
 
 from eqsim.errors import (
     InputError,
@@ -27,6 +28,7 @@ from eqsim.errors import (
 from eqsim.numerics.tables import Array
 
 Edges = Literal["open", "periodic"]
+Driven = Literal["plate", "edge", "both"]
 _MOST_BLOCKS = 10_000_000
 # Share of a block's response to its own breaks that rounding of positions hides
 _NEGLIGIBLE = 1e-12
@@ -52,6 +54,15 @@ class Elastic:
         together K/(N k) is the same number.
     edges : str
         "open" or "periodic".
+    drive : str
+        What pulls: "plate", a plate every block; "edge", the first block of a chain
+        alone, through `drive_stiffness`; "both", every block through `drive_stiffness`,
+        and the first one also through `edge_stiffness`.
+    edge_stiffness : float, optional
+        K_e/(n k), of "both".
+    load : sequence of float, optional
+        Weights of the blocks of a chain, shape (blocks,), > 0: numbers of their
+        contacts are in proportion to these. By default all are equal.
 
     Examples
     --------
@@ -63,6 +74,9 @@ class Elastic:
     coupling: float
     drive_stiffness: float
     edges: Edges = "open"
+    drive: Driven = "plate"
+    edge_stiffness: float | None = None
+    load: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.blocks, (tuple, list)):
@@ -77,6 +91,37 @@ class Elastic:
         # avalanches of 1e6 breaks
         require_number("drive_stiffness", self.drive_stiffness, least=1e-6, most=1e6)
         require_choice("edges", self.edges, ("open", "periodic"))
+        require_choice("drive", self.drive, ("plate", "edge", "both"))
+        if (self.drive == "both") != (self.edge_stiffness is not None):
+            said = "is required" if self.drive == "both" else "not allowed unless"
+            raise InputError(f'edge_stiffness: {said} with drive = "both"')
+        if self.edge_stiffness is not None:
+            require_number("edge_stiffness", self.edge_stiffness, least=1e-6, most=1e6)
+        if self.load is not None:
+            object.__setattr__(self, "load", tuple(self.load))
+            if len(self.load) != self.count:
+                said = f"must be {self.count} numbers, one for each block"
+                raise InputError(f"load: has {len(self.load)}; {said}")
+            for weight in self.load:
+                require_number("load", weight, above=0.0, most=1e9)
+        if self.differ and (self.shape[1] > 1 or self.edges == "periodic"):
+            name = "load" if self.drive == "plate" else "drive"
+            said = "blocks that differ are those of a chain with open edges"
+            raise InputError(f"{name}: {said}")
+
+    @property
+    def differ(self) -> bool:
+        """True if the blocks are not all pulled and loaded alike."""
+        return self.drive != "plate" or self.load is not None
+
+    @property
+    def springs(self) -> Array:
+        """K_j/(n k) of the spring that pulls each block, shape (blocks,)."""
+        springs = np.full(self.count, float(self.drive_stiffness))
+        if self.drive == "edge":
+            springs[1:] = 0.0
+        springs[0] += self.edge_stiffness or 0.0
+        return springs
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -99,7 +144,7 @@ class Elastic:
         return 1.0 / math.acosh(1.0 + both / (2.0 * self.coupling))
 
     @property
-    def load(self) -> float:
+    def branching(self) -> float:
         """rho = n k/(n k + K_d), how many breaks follow from one directly, in
         the mean."""
         return 1.0 / (1.0 + self.drive_stiffness)
@@ -117,6 +162,32 @@ class Elastic:
             said = f"must be a multiple of the {self.count} blocks of [elastic]"
             raise InputError(f"contacts.count = {count}: {said}")
         return count // self.count
+
+    def contacts_of(self, count: int) -> Array:
+        """Number of contacts of each block, of `count` in all, shape (blocks,). Raises
+        InputError if a block has none, or if equal blocks cannot have equal numbers."""
+        if self.load is None:
+            return np.full(self.count, self.contacts_per_block(count))
+        weights = np.cumsum(self.load)
+        ends = np.rint(weights * (count / weights[-1])).astype(np.int64)
+        found = np.diff(ends, prepend=0)
+        if found.min() < 1:
+            few = int(np.argmin(found))
+            said = f"gives block {few} no contact of {count}; take more of them"
+            raise InputError(f"load: {said}")
+        return np.asarray(found)
+
+    def balance(self, contacts: Array) -> sparse.csc_array:
+        """(diag(K_j + n_j k) + kappa_b L)/(n k) of blocks with numbers of `contacts`,
+        (blocks,), of a chain with open edges."""
+        neighbours = np.full(self.count, 2.0)
+        neighbours[0] -= 1.0
+        neighbours[-1] -= 1.0
+        own = self.springs + contacts / contacts.mean() + self.coupling * neighbours
+        between = np.full(self.count - 1, -self.coupling)
+        return sparse.diags_array(
+            (between, own, between), offsets=(-1, 0, 1), format="csc"
+        )
 
     def response(self) -> Array:
         """n k G between blocks at a distance of (dy, dx), shape (2 Ry + 1, 2 Rx + 1)
@@ -141,5 +212,5 @@ class Elastic:
         rings = zip(reach, sizes, strict=True)
         once = [2 * np.arange(-r, r + 1) > -max(size, 2) for r, size in rings]
         total = np.sum(found * np.logical_and.outer(*once))
-        found[reach[0], reach[1]] += self.load - total
+        found[reach[0], reach[1]] += self.branching - total
         return found

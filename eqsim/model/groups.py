@@ -173,9 +173,9 @@ def _of_blocks(contacts: int, elastic: Elastic) -> Rows:
     reach = "blocks over which the displacement by a break decays"
     yield "lambda", elastic.length, reach
     rho = "n k/(n k + K_d), breaks that follow from one directly"
-    yield "rho", elastic.load, rho
+    yield "rho", elastic.branching, rho
     yield "mean size", elastic.mean_size, "1 + n k/K_d, breaks of an avalanche"
-    cutoff = 1.0 / (1.0 - elastic.load) ** 2
+    cutoff = 1.0 / (1.0 - elastic.branching) ** 2
     yield "cutoff size", cutoff, "up to which P(s) ~ s^(-3/2)"
 
 

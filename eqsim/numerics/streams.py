@@ -15,6 +15,7 @@ import numpy as np
 from eqsim.numerics.compiled import routine
 
 TRAJECTORY = 1  # purpose of contacts that are simulated along a drive
+CANDIDATES = 3  # purpose of the candidates for breaks by heat in coupled blocks
 STEADY = 2  # purpose of steady estimates; a hash of their parameters is added to it
 
 ROUGH = 2.0**-20  # below it the cells of `product` are wider than 2^-12 of it

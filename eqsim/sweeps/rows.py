@@ -138,9 +138,11 @@ def _elastic(task: Task, drive: Drive, options: RowCells) -> RowCells:
     size = single = None
     law = ensemble.thresholds
     if not law.steps.size:  # equal thresholds break together: no law of sizes is known
-        few = missed_by_few(law, blocks.load, blocks.contacts_per_block(ensemble.count))
+        few = missed_by_few(
+            law, blocks.branching, blocks.contacts_per_block(ensemble.count)
+        )
         size = Estimate(blocks.mean_size, abs(few.mean), 0)
-        alone = float(size_law(law, blocks.load, 1)[0])
+        alone = float(size_law(law, blocks.branching, 1)[0])
         single = Estimate(alone, abs(few.single), 0)
     return row | _filled("size", run.size, size) | _filled("single", run.single, single)
 

@@ -53,7 +53,7 @@ class ElasticResult(SimulatedFile):
         law."""
         if self.ensemble.thresholds.steps.size:
             return np.empty(0)
-        return size_law(self.ensemble.thresholds, self.elastic.load, _LARGEST_SIZE)
+        return size_law(self.ensemble.thresholds, self.elastic.branching, _LARGEST_SIZE)
 
     @cached_property
     def friction(self) -> Estimate:
@@ -74,7 +74,7 @@ class ElasticResult(SimulatedFile):
         size = single = Estimate(None, None, 0, reliable=False)
         if self.sizes.size:
             contacts = elastic.contacts_per_block(self.ensemble.count)
-            few = missed_by_few(self.ensemble.thresholds, elastic.load, contacts)
+            few = missed_by_few(self.ensemble.thresholds, elastic.branching, contacts)
             size = Estimate(elastic.mean_size, abs(few.mean), 0)
             single = Estimate(float(self.sizes[0]), abs(few.single), 0)
         exact = {"friction": self.friction, "size": size, "single": single}

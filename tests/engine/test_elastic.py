@@ -165,7 +165,7 @@ def test_response_is_the_inverse(elastic):
     np.testing.assert_allclose(
         found, np.linalg.inv(balance(elastic)), rtol=0, atol=2e-11
     )
-    np.testing.assert_allclose(found.sum(axis=0), elastic.load, rtol=1e-13)
+    np.testing.assert_allclose(found.sum(axis=0), elastic.branching, rtol=1e-13)
 
 
 @pytest.mark.parametrize("stiffness", [2.0, 0.1])
@@ -311,7 +311,7 @@ def test_exact_numbers(blocks, n, drive, coupling):
     level = reference(Ensemble(**UNIFORM), Drive(1.0)).friction.value
     assert abs(z_score(found.friction, level)) < 4.5
     assert abs(z_score(found.size, 1.0 + 1.0 / drive)) < 4.5
-    assert abs(z_score(found.single, busy_period(elastic.load, 1)[0])) < 4.5
+    assert abs(z_score(found.single, busy_period(elastic.branching, 1)[0])) < 4.5
     assert found.friction.stderr < 5e-3
     assert found.size.stderr < 0.03 * found.size.value
 
@@ -367,8 +367,8 @@ def test_sizes_are_busy_periods(coupling):
     elastic = Elastic(32, coupling, 0.25)
     found = interface(64_000, 20.0, elastic, points=2).avalanches
     sizes = found["breaks"][found["D"] > 12.0]
-    assert sizes_against(size_law(Gamma(), elastic.load, 100), sizes) > 1e-4
-    assert sizes_against(size_law(Gamma(), 0.95 * elastic.load, 100), sizes) < 1e-6
+    assert sizes_against(size_law(Gamma(), elastic.branching, 100), sizes) > 1e-4
+    assert sizes_against(size_law(Gamma(), 0.95 * elastic.branching, 100), sizes) < 1e-6
 
 
 @pytest.mark.parametrize("n", [50, 200])
@@ -379,9 +379,9 @@ def test_few_contacts_of_uncoupled_blocks(n):
     elastic = Elastic(64, 0.0, 0.25)
     found, few = (
         interface(64 * n, 60.0, elastic, points=2, replicas=2),
-        missed_by_few(Gamma(), elastic.load, n),
+        missed_by_few(Gamma(), elastic.branching, n),
     )
-    single = size_law(Gamma(), elastic.load, 1)[0]
+    single = size_law(Gamma(), elastic.branching, 1)[0]
     laws = (found.size, elastic.mean_size, few.mean), (found.single, single, few.single)
     for seen, infinite, missed in laws:
         second = missed**2 / infinite
@@ -425,7 +425,7 @@ def test_errors_are_honest():
     elastic, scores = Elastic(32, 3.0, 0.25), []
     level, single = (
         reference(Ensemble(**UNIFORM), Drive(1.0)).friction.value,
-        size_law(Gamma(), elastic.load, 1)[0],
+        size_law(Gamma(), elastic.branching, 1)[0],
     )
     for seed in range(60):
         found = interface(64_000, 40.0, elastic, points=2, seed=seed)
@@ -449,7 +449,7 @@ def test_near_the_critical_load(n, drive):
         10 * n, 60.0 if n < 10**5 else 80.0, elastic, points=2, replicas=2, threads=2
     )
     assert abs(z_score(found.size, elastic.mean_size)) < 4.5
-    assert abs(z_score(found.single, size_law(Gamma(), elastic.load, 1)[0])) < 4.5
+    assert abs(z_score(found.single, size_law(Gamma(), elastic.branching, 1)[0])) < 4.5
 
 
 # ---- the law of sizes ----
@@ -691,7 +691,6 @@ def test_sweeps_of_sheets_are_refused(path, tmp_path):
             'elastic.edges = \'closed\': must be one of "open", "periodic"',
         ),
         ("elastic.block=3", 'elastic.block: unknown key; did you mean "blocks"?'),
-        ("thermal.kT=0.1", "thermal.kT = 0.1: must be 0 with [elastic]"),
         ("delay.time=1.0", "delay.time = 1.0: must be 0 with [elastic]"),
         (
             "newborn={law='exponential',mean=0.2}",

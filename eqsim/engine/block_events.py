@@ -1,0 +1,529 @@
+"""Coupled blocks event by event: with heat, an edge that is pulled, or loads that vary
+(derived).
+
+Between two events all contacts stay pinned, and X_j = q_j D + Y_j with q_j =
+sum_i G_ji K_i (`model.elastic`). A break of stretch x at block i adds G_ji k x to Y_j.
+So block j gets to a position p when the level, D, is at h_j = D + (p - X_j)/q_j. Of a
+lattice whose blocks are alike the level is q D, and q_j = 1. The level rises with the
+plate; breaks that follow below the level are an avalanche, and take no time.
+
+Breaks by heat are exact random times, drawn by thinning (Lewis and Shedler, 1979): up
+to a position ahead, the wall, the rate of a contact is below its rate at the wall or at
+its threshold. Candidates come at the rate of the sum of these bounds, and one is a
+break with the probability rate/bound. At its wall a block's bounds are renewed, so that
+nothing but the time it takes depends on how far ahead walls are.
+
+Lengths are in units of the threshold law's scale, time is displacement at the pace of
+the plate. A run belongs to one thread.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.sparse.linalg import splu
+
+from eqsim.engine.avalanches import events_of
+from eqsim.engine.contacts import Contacts
+from eqsim.engine.contacts import contacts as laws_of
+from eqsim.engine.lanes import draw_birth
+from eqsim.engine.lattice import (
+    LEAF,
+    Banded,
+    Response,
+    lowest_block,
+    response_of,
+    spread,
+)
+from eqsim.errors import InputError
+from eqsim.laws.barrier.base import height, prefactor, rate, thermal
+from eqsim.laws.barrier.pooled import Pooled
+from eqsim.laws.stiffness import kappa
+from eqsim.model.elastic import Elastic
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import reduced
+from eqsim.numerics.compiled import by_law, kernel, routine
+from eqsim.numerics.streams import CANDIDATES, TRAJECTORY, Key, uniforms
+from eqsim.numerics.streams import key as key_of
+from eqsim.numerics.tables import Array
+
+_NEGLIGIBLE = 1e-12  # share of a block's response to its own breaks
+_COLUMNS = 256  # of a response that are solved for together
+_LEAST_SHARE = 1e-290  # q_j of a block that the plate does not move
+_MOST_NUMBERS = 1e8  # of a response: 1 GB of memory
+_BEYOND = 1.0 + 1e-9  # factor on bounds, for their rounding
+_OVER = 1.25  # factor on the greatest of three pooled rates
+_AHEAD = 0.5  # e-folds of the rate of a contact between a wall and the next
+
+# The run so far, and the avalanche that goes on.
+STATE = np.dtype(
+    [
+        ("time", np.float64),
+        ("level", np.float64),
+        ("clock", np.float64),  # what is left until the next candidate
+        ("candidates", np.int64),  # so far
+        ("force", np.float64),  # sum of all stretches, over the contacts of a block
+        ("impulse", np.float64),  # its integral over time
+        ("block", np.int64),  # where the avalanche began
+        ("size", np.int64),  # its breaks so far; 0 if none goes on
+        ("blocks", np.int64),  # with at least one of its breaks
+        ("by_heat", np.bool_),  # its first break
+        ("before", np.float64),  # force before it
+        ("avalanches", np.int64),  # so far, as all that follows
+        ("singles", np.int64),  # avalanches of one break
+        ("breaks", np.int64),
+        ("unbounded", np.bool_),  # a rate was above its bound
+    ],
+    align=True,
+)
+
+# An avalanche.
+AVALANCHE = np.dtype(
+    [
+        ("time", np.float64),
+        ("level", np.float64),
+        ("block", np.int64),  # where it began
+        ("breaks", np.int64),
+        ("blocks", np.int64),  # with at least one of its breaks
+        ("by_heat", np.bool_),  # its first break
+        ("before", np.float64),  # force before it
+        ("drop", np.float64),
+    ],
+    align=True,
+)
+
+
+class Blocks(NamedTuple):
+    """Contacts and blocks: B blocks of N contacts, block j those from `start[j]` on."""
+
+    birth: Array  # (N,), positions of the blocks at births of contacts
+    xi: Array  # (N,), thresholds
+    bound: Array  # (N,), of rates, up to the wall
+    lives: Array  # (N,), that have been drawn
+    start: Array  # (B + 1,)
+    wall: Array  # (B,), position up to which bounds hold
+    at: Array  # (B,), the next position: a break or the wall
+    h: Array  # level there, with room to a multiple of `LEAF`
+    tree: Array  # lowest of these, as in `lattice`
+    rates: Array  # sums of bounds over blocks, a binary tree from node 1 on
+    share: Array  # q_j (B,)
+    kept: Array  # force that a break of unit stretch leaves elsewhere (B,)
+    last: Array  # (B,), avalanche that has broken contacts
+    breaks: Array  # (B,), so far
+
+
+class Place(NamedTuple):
+    """A contact and its block."""
+
+    block: int
+    contact: int
+
+
+class Way(NamedTuple):
+    """Motion of the plate, and where random numbers of candidates come from."""
+
+    until: float  # time
+    speed: float  # change of the level over time
+    gain: float  # change of the force over that of the level
+    width: float  # from a block to its new wall; infinite without heat
+    size: float  # n, mean number of contacts of a block
+    key: Key
+    replica: int
+    first: int  # number of the first contact
+
+
+@routine(inline=True)
+def _position(b: Blocks, level: float, block: int) -> float:
+    """X of a block."""
+    return b.at[block] - (b.h[block] - level) * b.share[block]
+
+
+@routine(inline=True)
+def _rate(laws: Contacts, b: Blocks, contact: int, X: float) -> float:
+    """Rate of a contact with its block at X."""
+    xi = b.xi[contact]
+    x = min(X - b.birth[contact], xi)
+    return rate(laws.barrier, xi, kappa(laws.springs, xi), x)
+
+
+@by_law
+def greatest_rate(
+    law: Any, xi: float, stiffness: float, low: float, high: float
+) -> float:
+    """Bound on the rate of a contact between two stretches, of a barrier whose height
+    and prefactor are greatest and least at the ends."""
+    a = law.b * stiffness
+    least = min(height(law, xi, low, a), height(law, xi, high, a))
+    most = max(prefactor(law, xi, low), prefactor(law, xi, high))
+    return math.exp(law.log_w - least) * most
+
+
+@greatest_rate.register(Pooled)
+def _greatest_pooled_rate(
+    law: Pooled, xi: float, stiffness: float, low: float, high: float
+) -> float:
+    # it has a single, smooth maximum, which three points miss by less
+    found = max(rate(law, xi, stiffness, low), rate(law, xi, stiffness, high))
+    middle = rate(law, xi, stiffness, 0.5 * (low + high))
+    return _OVER * max(found, middle)
+
+
+@routine(inline=True)
+def _bound(laws: Contacts, b: Blocks, block: int, contact: int, X: float) -> float:
+    """Bound on the rate of a contact from X to the wall of its block."""
+    xi, birth = b.xi[contact], b.birth[contact]
+    high = min(b.wall[block] - birth, xi)
+    low = min(X - birth, high)
+    stiffness = kappa(laws.springs, xi)
+    return greatest_rate(laws.barrier, xi, stiffness, low, high) * _BEYOND
+
+
+@routine(inline=True)
+def _note_rate(b: Blocks, block: int, total: float) -> None:
+    """Set the sum of the bounds of a block."""
+    node = b.rates.size // 2 + block
+    b.rates[node] = total
+    node //= 2
+    while node > 0:
+        b.rates[node] = b.rates[2 * node] + b.rates[2 * node + 1]
+        node //= 2
+
+
+@routine(inline=True)
+def _aim(b: Blocks, block: int) -> None:
+    """Find the next position of a block, and the level there."""
+    at = b.wall[block]
+    for i in range(b.start[block], b.start[block + 1]):
+        at = min(at, b.birth[i] + b.xi[i])
+    b.h[block] += (at - b.at[block]) / b.share[block]
+    b.at[block] = at
+
+
+@routine
+def _renew(laws: Contacts, b: Blocks, width: float, block: int, X: float) -> None:
+    """Move the wall of a block at X, and bound the rates of its contacts."""
+    b.wall[block] = X + width
+    total = 0.0
+    if thermal(laws.barrier):
+        for i in range(b.start[block], b.start[block + 1]):
+            b.bound[i] = _bound(laws, b, block, i, X)
+            total += b.bound[i]
+        _note_rate(b, block, total)
+
+
+@routine
+def _mend(b: Blocks, block: int) -> None:
+    """Mend the tree of lowest levels above a block."""
+    leaf = block // LEAF
+    lowest = math.inf
+    for j in range(leaf * LEAF, (leaf + 1) * LEAF):
+        lowest = min(lowest, b.h[j])
+    node = b.tree.size // 2 + leaf
+    b.tree[node] = lowest
+    node //= 2
+    while node > 0:
+        b.tree[node] = min(b.tree[2 * node], b.tree[2 * node + 1])
+        node //= 2
+
+
+@routine(inline=True)
+def _chosen_block(b: Blocks, u: float) -> int:
+    """Block of a candidate, from a uniform `u`."""
+    node, leaves, left = 1, b.rates.size // 2, u * b.rates[1]
+    while node < leaves:
+        node *= 2
+        if left >= b.rates[node] and b.rates[node + 1] > 0.0:
+            left -= b.rates[node]
+            node += 1
+    return node - leaves
+
+
+@routine(inline=True)
+def _chosen_contact(b: Blocks, block: int, u: float) -> int:
+    """Contact of a candidate in a block, from a uniform `u`."""
+    left = u * b.rates[b.rates.size // 2 + block]
+    last = b.start[block + 1] - 1
+    for i in range(b.start[block], last):
+        left -= b.bound[i]
+        if left < 0.0:
+            return i
+    return last
+
+
+@kernel
+def pin_all(laws: Contacts, key: Key, way: Way, b: Blocks, state: Array) -> None:
+    """Pin all contacts, with all blocks at 0."""
+    for block in range(b.wall.size):
+        for i in range(b.start[block], b.start[block + 1]):
+            b.xi[i] = draw_birth(laws.newborn, laws, key, way.first + i, 0).threshold
+            b.birth[i] = 0.0
+            b.lives[i] = 1
+        b.at[block] = 0.0
+        b.h[block] = 0.0
+        _renew(laws, b, way.width, block, 0.0)
+        _aim(b, block)
+        _mend(b, block)
+    u, _ = uniforms(way.key, way.replica, 0, 0)
+    state[0].clock = -math.log(u)
+
+
+@routine
+def _break(
+    laws: Contacts, key: Key, way: Way, b: Blocks, now: Any, at: Place, X: float
+) -> float:
+    """Break a contact of a block at X, which forms again at once. Returns its stretch
+    over the number of contacts of a block."""
+    block, i = at
+    x = (X - b.birth[i]) / way.size
+    b.birth[i] = X
+    number = way.first + i
+    b.xi[i] = draw_birth(laws.newborn, laws, key, number, b.lives[i]).threshold
+    b.lives[i] += 1
+    if thermal(laws.barrier):
+        total = b.rates[b.rates.size // 2 + block] - b.bound[i]
+        b.bound[i] = _bound(laws, b, block, i, X)
+        _note_rate(b, block, max(total, 0.0) + b.bound[i])
+    _aim(b, block)
+    if b.last[block] != now.avalanches:
+        b.last[block] = now.avalanches
+        now.blocks += 1
+    now.size += 1
+    now.breaks += 1
+    b.breaks[block] += 1
+    now.force -= x * b.kept[block]
+    return x
+
+
+@routine(inline=True)
+def _begin_avalanche(now: Any, block: int, by_heat: bool) -> None:
+    now.block = block
+    now.blocks = 0
+    now.by_heat = by_heat
+    now.before = now.force
+    now.avalanches += 1
+
+
+@routine(inline=True)
+def _wait(now: Any, way: Way, time: float) -> None:
+    """Let time pass."""
+    rise = way.speed * (time - now.time)
+    gained = way.gain * rise
+    now.impulse += (now.force + 0.5 * gained) * (time - now.time)
+    now.force += gained
+    now.level += rise
+    now.time = time
+
+
+@kernel
+def follow(
+    laws: Contacts,
+    key: Key,
+    b: Blocks,
+    response: Any,
+    way: Way,
+    state: Array,
+    events: Array,
+) -> tuple[int, bool]:
+    """Follow blocks until `way.until`, and note the avalanches that end; `state` (1,)
+    is a `STATE`, `events` has `AVALANCHE`s. Returns the number of avalanches, and False
+    if there are more than `events` has room for."""
+    now = state[0]
+    rows = 0
+    while True:
+        lowest, total = b.tree[1], b.rates[1]
+        block = -1
+        contact = -1
+        X = 0.0
+        if lowest > now.level:
+            if now.size > 0:
+                if rows == events.size:
+                    return rows, False
+                event = events[rows]
+                event.time, event.level = now.time, now.level
+                event.block, event.breaks = now.block, now.size
+                event.blocks, event.by_heat = now.blocks, now.by_heat
+                event.before, event.drop = now.before, now.before - now.force
+                rows += 1
+                now.singles += now.size == 1
+                now.size = 0
+            time = math.inf
+            if way.speed > 0.0:
+                time = now.time + (lowest - now.level) / way.speed
+            end = min(time, way.until)
+            if now.clock < total * (end - now.time):
+                _wait(now, way, now.time + now.clock / total)
+                now.candidates += 1
+                n = now.candidates
+                u, v = uniforms(way.key, way.replica, n, 1)
+                block = _chosen_block(b, u)
+                contact = _chosen_contact(b, block, v)
+                u, v = uniforms(way.key, way.replica, n, 0)
+                now.clock = -math.log(u)
+                X = _position(b, now.level, block)
+                actual = _rate(laws, b, contact, X)
+                now.unbounded |= actual > b.bound[contact]
+                if v * b.bound[contact] >= actual:
+                    continue
+                _begin_avalanche(now, block, True)
+            else:
+                now.clock -= total * (end - now.time)
+                _wait(now, way, end)
+                if time > way.until:
+                    return rows, True
+                now.level = lowest
+        if contact < 0:
+            block = lowest_block(b)
+            X = b.at[block]
+            if b.wall[block] <= X:
+                _renew(laws, b, way.width, block, X)
+                _aim(b, block)
+                _mend(b, block)
+                continue
+            if now.size == 0:
+                _begin_avalanche(now, block, False)
+            contact = b.start[block]
+            for i in range(contact, b.start[block + 1]):
+                if b.birth[i] + b.xi[i] == X:
+                    contact = i
+                    break
+        x = _break(laws, key, way, b, now, Place(block, contact), X)
+        spread(response, b, block, x)
+
+
+class Interface(NamedTuple):
+    """Contacts and blocks of a run; lengths in units of the threshold scale."""
+
+    laws: Contacts
+    key: Key  # of lives
+    candidates: Key
+    contacts: Array  # numbers, of each block (B,)
+    response: Response | Banded
+    share: Array  # q_j (B,)
+    kept: Array  # force that a break of unit stretch leaves elsewhere (B,)
+    speed: float  # change of the level over the displacement of the plate
+    ahead: float  # from a block to its new wall
+
+
+def interface_of(
+    ensemble: Ensemble, elastic: Elastic, pace: float, seed: int
+) -> Interface:
+    """Contacts and blocks for kernels. Raises InputError where a response takes too much
+    memory."""
+    contacts = elastic.contacts_of(ensemble.count)
+    heat = ensemble.thermal.active
+    b = reduced(ensemble, pace).barrier.b if heat else 0.0
+    ahead = _AHEAD / max(b, 1.0) if heat else math.inf
+    keys = key_of(seed, TRAJECTORY), key_of(seed, CANDIDATES)
+    begun = laws_of(ensemble, pace), *keys, contacts
+    if not elastic.differ:
+        ones, passed = np.ones(elastic.count), elastic.branching
+        response = response_of(elastic, 1.0)._replace(unit=0.0)
+        kept = (1.0 - passed) * ones
+        return Interface(*begun, response, ones, kept, 1.0 - passed, ahead)
+    weights = contacts / contacts.mean()
+    balance = splu(elastic.balance(contacts))
+    share = balance.solve(elastic.springs)
+    decay = math.acosh(1.0 + weights.min() / (2.0 * max(elastic.coupling, 1e-300)))
+    B = elastic.count
+    width = min(2 * math.ceil(-math.log(_NEGLIGIBLE) / decay) + 1, B)
+    if B * width > _MOST_NUMBERS:
+        said = f"{B} blocks that differ and feel {width} of each other take too much memory"
+        raise InputError(f"coupling = {elastic.coupling}: {said}")
+    first = np.clip(np.arange(B) - width // 2, 0, B - width)
+    G, kept = np.empty((B, width)), np.empty(B)
+    for begin in range(0, B, _COLUMNS):
+        breaks = np.arange(begin, min(begin + _COLUMNS, B))
+        unit = np.zeros((B, breaks.size))
+        unit[breaks, breaks - begin] = 1.0
+        moved = balance.solve(unit)
+        kept[breaks] = 1.0 - weights @ moved
+        near = first[breaks, None] + np.arange(width)
+        G[breaks] = moved[near, (breaks - begin)[:, None]]
+    share = np.maximum(share, _LEAST_SHARE)
+    G /= share[first[:, None] + np.arange(width)]
+    return Interface(*begun, Banded(G, first, 0.0), share, kept, 1.0, ahead)
+
+
+class Instants(NamedTuple):
+    """Times of records, of the edges of batches, and at which a signal may stop a
+    run."""
+
+    records: Array
+    edges: Array
+    pauses: Array
+
+
+def simulate(
+    interface: Interface,
+    replica: int,
+    instants: Instants,
+    records: Array,
+    told: Callable[[int], None],
+) -> tuple[Array, Array]:
+    """Follow a replica, and fill its `records`, `BLOCK_STATE`s of shape (times, B).
+    `told` gets the number of breaks since, now and then. Returns time, its integral of
+    the force of a contact, breaks, avalanches and single breaks at the edges of
+    batches, shape (edges, 5), and avalanches, `AVALANCHE`s. Raises InputError for a rate
+    that is greatest between two stretches."""
+    laws, key, contacts = interface.laws, interface.key, interface.contacts
+    n, count = contacts.mean(), int(contacts.sum())
+    b = _blocks_of(interface)
+    way = Way(
+        0.0, interface.speed, float(contacts @ interface.share) / n, interface.ahead, n,
+        interface.candidates, replica, replica * count,
+    )  # fmt: skip
+    state = np.zeros(1, STATE)
+    now = state[0]
+    pin_all(laws, key, way, b, state)
+    totals, events = [], []
+    of = b.start[:-1]
+    for time in np.unique(np.concatenate(instants)):
+        before = int(now["breaks"])
+        until = way._replace(until=time)
+        followed = laws, key, b, interface.response, until, state
+        events.append(events_of(AVALANCHE, follow, *followed))
+        told(int(now["breaks"]) - before)
+        if now["unbounded"]:
+            said = "its rate has to be greatest at an end of any range of stretches"
+            raise InputError(f"thermal.barrier: {said}, with [elastic]")
+        X = b.at - (b.h[: of.size] - now["level"]) * b.share
+        births = np.add.reduceat(b.birth, of)
+        squares = np.add.reduceat(b.birth**2, of) / contacts
+        now["force"] = np.sum(contacts * X - births) / n
+        if time in instants.records:
+            row = records[np.searchsorted(instants.records, time)]
+            row["X"] = X
+            row["force"] = (contacts * X - births) / n
+            mean = births / contacts
+            row["variance"] = np.maximum(squares - mean**2, 0.0)
+            row["breaks"] = b.breaks
+        if time in instants.edges:
+            names = "impulse", "time", "breaks", "avalanches", "singles"
+            totals.append([now[name] for name in names])
+    sums = np.array(totals, float)
+    sums[:, 0] /= contacts.size
+    return sums, np.concatenate(events)
+
+
+def _blocks_of(interface: Interface) -> Blocks:
+    """Make blocks, to be prepared."""
+    B, N = interface.contacts.size, int(interface.contacts.sum())
+    filled = -(-B // LEAF)
+    leaves = 1 << (filled - 1).bit_length()
+    return Blocks(
+        birth=np.zeros(N),
+        xi=np.zeros(N),
+        bound=np.zeros(N),
+        lives=np.zeros(N, np.int64),
+        start=np.append(0, np.cumsum(interface.contacts)),
+        wall=np.zeros(B),
+        at=np.zeros(B),
+        h=np.full(filled * LEAF, math.inf),
+        tree=np.full(2 * leaves, math.inf),
+        rates=np.zeros(2 << (B - 1).bit_length()),
+        share=interface.share,
+        kept=interface.kept,
+        last=np.zeros(B, np.int64),
+        breaks=np.zeros(B, np.int64),
+    )
