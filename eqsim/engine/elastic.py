@@ -478,7 +478,7 @@ def elastic_trajectory(
     elastic, _ = check_elastic(ensemble, drive, output, max_lives)
     unit, count = ensemble.thresholds.scale, ensemble.count
     kind: type[_Interface | _WarmInterface] = _Interface
-    if ensemble.thermal.active or elastic.differ:
+    if elastic.follows_events(ensemble.thermal.active):
         kind = _WarmInterface
     interface = kind.of(ensemble, drive, elastic, points, seed)
     # Kernels are compiled here, so that seconds are those of the work.

@@ -7,6 +7,7 @@ refused.
 
 import copy
 import functools
+import json
 import math
 import tomllib
 import typing
@@ -673,8 +674,8 @@ def keys(file: RunFile | None = None) -> dict[str, type]:
         return known
     for section in schema.OPTIONAL:
         if file[section]:
-            below = schema.keys_of(section).items()
-            known |= {f"{section}.{name}": key.kind for name, key in below}
+            for name, key in schema.keys_of(section).items():
+                known[f"{section}.{name}"] = str if key.kind is list else key.kind
     for index in range(len(file["population"] or [])):
         above, alone = f"population.{index}.", keys(_population(file, index))
         known |= {f"{above}share": float, f"{above}stiffness": float}
@@ -691,14 +692,18 @@ def keys(file: RunFile | None = None) -> dict[str, type]:
 
 
 def parameters(file: RunFile) -> dict[str, Any]:
-    """The values of all `keys()`, with the defaults of the threshold law filled in:
-    equal settings, equal dicts."""
+    """The values of all `keys()`, lists as text, with the defaults of the threshold law
+    filled in: equal settings, equal dicts."""
     found = {key: file[key] for key in keys(file)}
     for key, default in threshold_parameters(file["thresholds.law"]).items():
         if found[f"thresholds.{key}"] is None:
             found[f"thresholds.{key}"] = default
-    # no -0.0
-    return {k: v + 0.0 if isinstance(v, float) else v for k, v in found.items()}
+    for key, value in found.items():
+        if isinstance(value, float):
+            found[key] = value + 0.0  # no -0.0
+        elif isinstance(value, list) and not key.endswith(".blocks"):
+            found[key] = json.dumps(value)
+    return found
 
 
 _NEWER = {name for name, key in catalogue.KEYS.items() if key.since}

@@ -114,6 +114,11 @@ class Elastic:
         """True if the blocks are not all pulled and loaded alike."""
         return self.drive != "plate" or self.load is not None
 
+    def follows_events(self, heat: bool) -> bool:
+        """True if breaks are followed one after the other, in the order of time: with
+        `heat`, or where blocks differ. Else their order makes no difference."""
+        return heat or self.differ
+
     @property
     def springs(self) -> Array:
         """K_j/(n k) of the spring that pulls each block, shape (blocks,)."""
@@ -136,11 +141,11 @@ class Elastic:
     @property
     def length(self) -> float:
         """lambda, over which the displacement by a break decays, in blocks (of a sheet
-        along its axes): cosh(1/lambda) = 1 + (K_d + n k)/(2 kappa_b); 0 without
-        coupling."""
+        along its axes): cosh(1/lambda) = 1 + (K_d + n k)/(2 kappa_b), without K_d where
+        the edge is pulled alone; 0 without coupling."""
         if not self.coupling:
             return 0.0
-        both = 1.0 + self.drive_stiffness
+        both = 1.0 + (0.0 if self.drive == "edge" else self.drive_stiffness)
         return 1.0 / math.acosh(1.0 + both / (2.0 * self.coupling))
 
     @property

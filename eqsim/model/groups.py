@@ -164,14 +164,25 @@ def _of_blocks(contacts: int, elastic: Elastic) -> Rows:
     nx, ny = elastic.shape
     kind, shape = ("chain", f"{nx}") if ny == 1 else ("sheet", f"{nx} x {ny}")
     yield "blocks", shape, f"{kind} with {elastic.edges} edges"
-    n = elastic.contacts_per_block(contacts)
-    yield "n", n, "contacts of a block, N over blocks"
+    numbers = elastic.contacts_of(contacts)
+    if elastic.load is None:
+        yield "n", int(numbers[0]), "contacts of a block, N over blocks"
+    else:
+        between = f"{numbers.min()} to {numbers.max()}"
+        yield "n_j", between, "contacts of a block, in proportion to its load"
     coupling = "spring between neighbours over the contacts of a block"
     yield "kappa_b/(n k)", elastic.coupling, coupling
-    plate = "spring of a block to the plate, over the same"
-    yield "K_d/(n k)", elastic.drive_stiffness, plate
+    pulled = "spring of a block to the plate, over the same"
+    if elastic.drive == "edge":
+        pulled = "spring that pulls the first block, over the same"
+    yield "K_d/(n k)", elastic.drive_stiffness, pulled
+    if elastic.edge_stiffness is not None:
+        edge = "another spring that pulls the first block, over the same"
+        yield "K_e/(n k)", elastic.edge_stiffness, edge
     reach = "blocks over which the displacement by a break decays"
     yield "lambda", elastic.length, reach
+    if elastic.differ:
+        return
     rho = "n k/(n k + K_d), breaks that follow from one directly"
     yield "rho", elastic.branching, rho
     yield "mean size", elastic.mean_size, "1 + n k/K_d, breaks of an avalanche"

@@ -33,8 +33,9 @@ def elastic_figure(
     scope = "" if run.force_replica_std is not None else " of contacts at the same X"
     label = f"simulated contacts, mean ± 2 standard errors{scope}"
     draw_band(top, run.D, run.force, 2 * run.force_stderr, label=label)
-    label = "exact mean over displacement, steady sliding"
-    top.axhline(friction.value or 0.0, color="C3", linestyle="--", label=label)
+    if friction.value is not None:
+        label = "exact mean over displacement, steady sliding"
+        top.axhline(friction.value, color="C3", linestyle="--", label=label)
     top.set(ylabel=caption.force, ylim=(0, None))
     caption.beside(top)
     top.set_title(caption.heading)

@@ -131,13 +131,16 @@ def _elastic(task: Task, drive: Drive, options: RowCells) -> RowCells:
     assert blocks
     run = elastic_trajectory(ensemble, drive, **options)
     exact, friction = reference(ensemble, replace(drive, elastic=None)), run.friction
+    known = not blocks.follows_events(ensemble.thermal.active)
     reliable = friction.reliable and run.size.reliable
     row = _status(run.lives, [] if reliable else [_TOO_SHORT])
     row |= {"reference_method": exact.method}
-    row |= _filled("friction", friction, exact.friction)
+    row |= _filled("friction", friction, exact.friction if known else None)
     size = single = None
     law = ensemble.thresholds
-    if not law.steps.size:  # equal thresholds break together: no law of sizes is known
+    if (
+        known and not law.steps.size
+    ):  # equal thresholds break together: no law of sizes is known
         few = missed_by_few(
             law, blocks.branching, blocks.contacts_per_block(ensemble.count)
         )

@@ -50,21 +50,32 @@ class ElasticResult(SimulatedFile):
     @cached_property
     def sizes(self) -> Array:
         """P(1), P(2), ... of infinitely many contacts, (1000,); empty for a discrete
-        law."""
-        if self.ensemble.thresholds.steps.size:
+        law, with heat, and where blocks differ."""
+        if self.in_time or self.ensemble.thresholds.steps.size:
             return np.empty(0)
         return size_law(self.ensemble.thresholds, self.elastic.branching, _LARGEST_SIZE)
 
+    @property
+    def in_time(self) -> bool:
+        """True if averages are those over time, and have no exact value."""
+        return self.elastic.follows_events(self.ensemble.thermal.active)
+
     @cached_property
-    def friction(self) -> Estimate:
-        """Exact friction over displacement."""
+    def rigid(self) -> Estimate:
+        """Exact friction of a rigid slider, and that over displacement."""
         return reference(self.ensemble, replace(self.drive, elastic=None)).friction
+
+    @property
+    def friction(self) -> Estimate:
+        """Exact friction over displacement, if it is known."""
+        return Estimate(None, None, 0, reliable=False) if self.in_time else self.rigid
 
     def averages(self) -> dict[str, tuple[Estimate, Estimate]]:
         """Averages over the second half of the plate's way, and their exact values, by
         name.
 
-        Friction over displacement (length) is exact for any number of contacts. Breaks
+        With heat, and where blocks differ, averages are over time and nothing is
+        exact. Friction over displacement (length) is exact for any number of contacts. Breaks
         per avalanche and the fraction of single breaks are those of infinitely many
         contacts; their error is the change for a single block with its contacts. They
         have no value for a discrete law, whose equal thresholds break together from a
@@ -114,7 +125,12 @@ class ElasticResult(SimulatedFile):
             known: tuple[Any, ...] = "none", "none"
             if exact.value is not None:
                 known = exact, terminal.score(difference(found, exact))
-            yield _AVERAGE_ROWS[name], found, *known
+            row = _AVERAGE_ROWS[name]
+            yield (
+                row.replace("over X", "over time") if self.in_time else row,
+                found,
+                *known,
+            )
 
     def notes(self) -> Iterator[str]:
         run = self.trajectory
@@ -127,10 +143,13 @@ class ElasticResult(SimulatedFile):
                 f"{blocks.mean():.3g} of {self.elastic.count} blocks take part in the "
                 f"mean, {blocks.max()} at most"
             )
-        yield (
-            "expected: friction of any number of contacts, avalanches of infinitely many; "
-            "errors: the change for n contacts per block"
-        )
+        if self.in_time:
+            yield f"a rigid slider has a friction of {self.rigid.value:.6g} at this velocity"
+        else:
+            yield (
+                "expected: friction of any number of contacts, avalanches of infinitely "
+                "many; errors: the change for n contacts per block"
+            )
         yield from self.speed()
 
 

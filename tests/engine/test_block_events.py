@@ -5,7 +5,9 @@ Scores are compared with 4.5: a correct program fails one of these tests once in
 """
 
 import numpy as np
+import pandas as pd
 import pytest
+from command_line import call
 from kernels import compiled
 
 from eqsim import (
@@ -30,6 +32,24 @@ from eqsim.engine.lanes import draw_birth
 from eqsim.numerics.streams import TRAJECTORY, key
 
 UNIFORM = {"stiffness_law": "uniform"}
+RUN_FILE = """
+[contacts]
+count = 200
+stiffness_law = "uniform"
+[thermal]
+kT = 0.1
+[drive]
+velocity = 0.2
+distance = 6.0
+[elastic]
+blocks = 4
+coupling = 2.0
+drive_stiffness = 3.0
+drive = "edge"
+load = [1, 1.2, 1, 0.8]
+[output]
+points = 21
+"""
 WARM = Ensemble(thermal=Thermal(0.1), count=1000, **UNIFORM)
 
 
@@ -214,3 +234,31 @@ def test_refuses_what_needs_time():
     light = Elastic(4, 1.0, 0.5, load=(1e-6, 1.0, 1.0, 1.0))
     with pytest.raises(InputError, match="gives block 0 no contact of 1000"):
         pulled(WARM, light, 1.0)
+
+
+def test_run_file(tmp_path):
+    """A chain that is pulled at its edge, with loads and heat: run, tables, replay, and
+    a sweep. Numbers in a list are checked."""
+    (tmp_path / "edge.toml").write_text(RUN_FILE)
+    out = tmp_path / "out"
+    done = call("run", tmp_path / "edge.toml", "--out", out)
+    assert done.exit_code == 0, done.output
+    assert "friction over time" in done.output
+    assert "a rigid slider has a friction of" in done.output
+    events = pd.read_parquet(out / "avalanches.parquet")
+    assert {"before", "by_heat"} <= set(events)
+    blocks = pd.read_parquet(out / "blocks.parquet")
+    last = blocks[blocks["D"] == 6.0].sort_values("block")
+    assert (np.diff(last["X"]) < 0.0).all()  # the edge is ahead
+    assert call("replay", out / "trajectory.parquet").exit_code == 0
+    info = call("info", tmp_path / "edge.toml")
+    assert "40 to 60" in info.output
+    bad = call("run", tmp_path / "edge.toml", "--set", 'elastic.load=[1,2,"x",1]')
+    assert bad.exit_code == 2
+    assert "elastic.load" in bad.output
+    swept = tmp_path / "sweep"
+    more = "sweep={'elastic.coupling'=[1.0,5.0]}"
+    done = call("sweep", tmp_path / "edge.toml", "--out", swept, "--set", more)
+    assert done.exit_code == 0, done.output
+    table = pd.read_parquet(swept)
+    assert table["reference_friction"].isna().all()
