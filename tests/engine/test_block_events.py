@@ -261,4 +261,4 @@ def test_run_file(tmp_path):
     done = call("sweep", tmp_path / "edge.toml", "--out", swept, "--set", more)
     assert done.exit_code == 0, done.output
     table = pd.read_parquet(swept)
-    assert table["reference_friction"].isna().all()
+    assert table["friction_reference"].isna().all()
