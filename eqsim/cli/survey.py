@@ -7,6 +7,7 @@ from typing import Annotated
 
 from typer import Argument, Exit, Option
 
+from eqsim.catalogue import LENGTH
 from eqsim.cli import options as shared
 from eqsim.cli.options import Changes, RunFilePath, Shown, complain, cores
 from eqsim.errors import InputError, require_integer
@@ -14,7 +15,7 @@ from eqsim.io import signals, storage
 from eqsim.lazy import lazily
 
 with lazily():
-    from eqsim.io import export
+    from eqsim.io import export, units
     from eqsim.plots import style, sweeps
     from eqsim.sweeps import plan, rows, scheduler, store
     from eqsim.sweeps import workers as pools
@@ -101,6 +102,9 @@ def sweep(
 
 _FOLDER = "Folder of Parquet files, one point a row."
 _PICTURE = "Picture, .png, .pdf or .svg. Default: DIR.png beside DIR, or DIR-Y.png of another column than friction."
+_Y = "Column along the y axis, or several, a panel each: mu,force. Default: friction, a force if its unit is known."
+_INCH = 0.0254  # metres
+_WIDTH = "Width on paper, such as 85mm: text of 7 and 8 points, 600 dpi. Default: for a screen."
 _BY = "Column whose values are series; with a second one, the first chooses colours, the second markers."
 _AT = "Only points at which a column has this value; repeatable."
 _LOG = "Scale of the x axis. Default: logarithmic if x spans more than a factor 30."
@@ -108,15 +112,32 @@ _Where = Option(metavar="KEY=VALUE", help=_AT)
 _Log = Option("--log-x/--linear-x", help=_LOG, show_default=False)
 
 
+@dataclass(frozen=True)
+class Picture:
+    """Options of a picture: where it is written, and how wide it is on paper."""
+
+    out: Annotated[Path | None, Option(metavar="FILE", help=_PICTURE)] = None
+    width: Annotated[str | None, Option(metavar="LENGTH", help=_WIDTH)] = None
+
+    def inches(self) -> float | None:
+        """The width in inches, if it is given. Raises InputError."""
+        given = units.measured(self.width or "")
+        if self.width is None:
+            return None
+        if given is None or given[1] != LENGTH or not 0.05 <= given[0] <= 0.5:
+            raise InputError(f"--width {self.width}: must be a length, 50mm to 500mm")
+        return given[0] / _INCH
+
+
 def plot(
     folder: Annotated[Path, Argument(metavar="DIR", help=_FOLDER)],
     x: Annotated[str, Option(help="Column along the x axis.")] = "drive.velocity",
-    y: Annotated[str, Option(help="Column along the y axis.")] = "friction",
+    y: Annotated[str | None, Option(help=_Y, show_default=False)] = None,
     by: Annotated[list[str] | None, Option(help=_BY)] = None,
     where: Annotated[list[str] | None, _Where] = None,
-    out: Annotated[Path | None, Option(metavar="FILE", help=_PICTURE)] = None,
     log_x: Annotated[bool | None, _Log] = None,
     *,
+    picture: Picture,
     shown: Shown,
 ) -> None:
     """Draw a sweep: an observable against a parameter, with error bars and the
@@ -128,8 +149,10 @@ def plot(
             raise InputError(f"--where {item}: must be KEY=VALUE")
         chosen[key] = value
     name = folder.absolute().name
-    which = "" if y == "friction" else f"-{y}"
-    file = out or folder.absolute().parent / f"{name}{which}.png"
+    ys = [name.strip() for name in y.split(",")] if y is not None else []
+    which = "" if ys in ([], ["friction"]) else "-" + "-".join(ys)
+    inches = picture.inches()
+    file = picture.out or folder.absolute().parent / f"{name}{which}.png"
     if file.suffix not in (".png", ".pdf", ".svg"):
         raise InputError(f"--out {file}: must end in .png, .pdf or .svg")
     if file.resolve().is_relative_to(folder.resolve()):
@@ -138,15 +161,17 @@ def plot(
         )
     storage.check_folder(file.parent)
     found = sweeps.read_sweep(folder)
-    renamed = export.RENAMED_COLUMNS if y not in found.table else {}
-    if y in renamed:
-        complain(f"warning: --y {y} of a sweep is called {renamed[y]}")
-    y = renamed.get(y, y)
+    printed = sweeps.PRINTED | export.RENAMED_COLUMNS
+    ys = [one if one in found.table else printed.get(one, one) for one in ys]
     points = sweeps.select(found.table, chosen)
     title = sweeps.heading(found, name, chosen)
-    figure, notes = sweeps.sweep_figure(found, points, (x, y), by, log_x, title)
-    storage.publish(file.parent, {file.name: style.saved(figure, file.suffix[1:])})
-    law = None if by else sweeps.healing_of(points, x, y)
+    columns = [x, *(ys or [found.usual])]
+    asked = by, log_x, title, inches
+    figure, notes = sweeps.sweep_figure(found, points, columns, *asked)
+    settings = style.PAPER if inches else None
+    content = style.saved(figure, file.suffix[1:], settings)
+    storage.publish(file.parent, {file.name: content})
+    law = sweeps.healing_of(points, x, ys[0]) if len(ys) == 1 and not by else None
     data = {"file": str(file), "points": len(points), "notes": notes}
     data |= {"healing": law.as_dict()} if law else {}
     shown.report(data, notes=["; ".join([os.path.relpath(file), *notes])])

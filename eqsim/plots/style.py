@@ -3,6 +3,8 @@ axes without offsets, 150 dpi."""
 
 import functools
 import io
+import re
+import textwrap
 from collections.abc import Callable, Sequence
 from typing import Any, ParamSpec
 
@@ -43,6 +45,22 @@ PANELS: dict[str, Any] = {
     "figure.titlesize": 10,
     "lines.linewidth": 1.0,
 }
+# Settings of a picture whose width on paper is given.
+PAPER: dict[str, Any] = {
+    "font.size": 7,
+    "axes.labelsize": 8,
+    "axes.titlesize": 8,
+    "axes.linewidth": 0.6,
+    "figure.titlesize": 8,
+    "grid.linewidth": 0.4,
+    "legend.fontsize": 7,
+    "lines.linewidth": 0.8,
+    "savefig.dpi": 600,
+    "xtick.labelsize": 7,
+    "xtick.major.width": 0.6,
+    "ytick.labelsize": 7,
+    "ytick.major.width": 0.6,
+}
 _UNDATED: dict[str, dict[str, Any]] = {
     "png": {"Software": "eqsim"},
     "pdf": {"CreationDate": None, "Creator": "eqsim"},
@@ -64,12 +82,14 @@ def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
     return drawn
 
 
-def saved(figure: Figure, form: str = "png") -> bytes:
-    """Render a picture as the content of a file. Raises InputError unless `form` is one
-    of `FORMATS`."""
+def saved(
+    figure: Figure, form: str = "png", settings: dict[str, Any] | None = None
+) -> bytes:
+    """Render a picture as the content of a file, with other `settings` if it was drawn
+    with them. Raises InputError unless `form` is one of `FORMATS`."""
     require_choice("format", form, FORMATS)
     buffer = io.BytesIO()
-    with matplotlib.rc_context(STYLE):
+    with matplotlib.rc_context(STYLE | (settings or {})):
         for axes in figure.axes:
             low, high = axes.get_ylim()
             if 0 < abs(high - low) < _FLAT_AXIS * max(abs(low), abs(high)):
@@ -83,6 +103,23 @@ def pictures(
 ) -> dict[str, bytes]:
     """Render a picture in some formats, by the names of the files."""
     return {f"{name}.{form}": saved(figure, form) for form in formats}
+
+
+def wrapped(text: str, inches: float) -> str:
+    """Break a title or label into lines of about so many inches; formulas and units in
+    brackets stay whole."""
+    whole: list[str] = []
+
+    def kept(found: re.Match[str]) -> str:
+        whole.append(found[0])
+        return "\0" * len(re.sub(r"\\[a-z]+|[${}^_ ]+", "\0", found[0]))
+
+    text = re.sub(r"\$[^$]*\$|\[.*?\](?= |$)", kept, text)
+    letter = 0.55 * matplotlib.rcParams["axes.titlesize"] / 72.0  # mean width, inches
+    options: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
+    wide = max(1, int(inches / letter))
+    lines = (textwrap.fill(line, wide, **options) for line in text.split("\n"))
+    return re.sub("\0+", lambda found: whole.pop(0), "\n".join(lines))
 
 
 def not_flat(axes: Any) -> None:

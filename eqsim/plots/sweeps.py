@@ -3,6 +3,7 @@
 import json
 import re
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,14 +30,23 @@ from eqsim.model.healing import Healing, healing_law
 from eqsim.numerics.tables import Array
 from eqsim.plots.panels import Caption
 from eqsim.plots.runs import draw_healing
-from eqsim.plots.style import COLORS, DASHES, MARKERS, not_flat, styled
+from eqsim.plots.style import (
+    COLORS,
+    DASHES,
+    MARKERS,
+    PANELS,
+    PAPER,
+    STYLE,
+    not_flat,
+    wrapped,
+)
 
 Points = Any  # a pandas DataFrame, one point of a sweep a row
 Column = Any  # a pandas Series
 
 _SPREAD = 30.0  # an axis whose values span a greater factor is logarithmic
 # Columns by the names that tables on a terminal give them.
-_PRINTED = {"mu": "friction_coefficient", "force": "friction_force"}
+PRINTED = {"mu": "friction_coefficient", "force": "friction_force"}
 _MOST_SERIES = len(COLORS)  # series in a legend; more have a colour bar
 _FINE_CURVE = 120  # points of a reference curve against velocity, which costs one solve
 _COARSE_CURVE = 40  # points of one against another key
@@ -68,6 +78,13 @@ class Sweep(NamedTuple):
         """Note on a sweep that is not finished."""
         done, planned = len(self.table), self.planned
         return f"{done} of {planned} points so far" if done < (planned or 0) else ""
+
+    @property
+    def usual(self) -> str:
+        """The column that is drawn if none is named: friction, as a force where the run
+        file has a unit of force."""
+        known = self.units.force and "friction_force" in self.table
+        return "friction_force" if known else "friction"
 
 
 def read_sweep(folder: Path) -> Sweep:
@@ -139,39 +156,45 @@ def heading(sweep: Sweep, name: str, where: dict[str, str]) -> str:
 def sweep_figure(
     sweep: Sweep,
     points: Points,
-    columns: tuple[str, str],
+    columns: Sequence[str],
     by: list[str] | None = None,
     log_x: bool | None = None,
     title: str = "",
+    width: float | None = None,
 ) -> tuple[Figure, list[str]]:
-    """Draw of some `points` of a sweep the second of two `columns`, y, against the
-    first, x, one series for each value of the columns `by`, colours for the first of
-    them and markers for the second; the figure, and notes on what was left out.
+    """Draw of some `points` of a sweep some `columns` against the first of them, x,
+    each y in a panel of its own, one series for each value of the columns `by`, colours
+    for the first of them and markers for the second; the figure, and notes on what was
+    left out.
 
     Bars are two standard errors (column `y`_stderr). The master equation is solved anew
     for a line between the points where that takes little time, else dashes are its
     values at the points (`y`_reference); points of `status` "unreliable" are open,
     those of "failed" left out. The x axis is logarithmic if `log_x`, or by default if
     its values span more than a factor 30. More than eight series have a colour bar if
-    the first column is of numbers. Raises InputError if a column is missing or is not
-    of numbers, if a parameter other than `x` and `by` varies (one of `output` does not
-    count: it changes no average), or if nothing is left to draw.
+    the first column is of numbers. A `width` in inches is that on paper, where text has
+    7 and 8 points. Raises InputError if a column is missing or is not of numbers, if a
+    parameter other than `x` and `by` varies (one of `output` does not count: it changes
+    no average), or if nothing is left to draw.
     """
-    (x, y), by = columns, list(by or [])
+    x, *ys = columns
+    by = list(by or [])
     if len(by) > 2:
         raise InputError(
             f"--by {by[2]}: at most two columns, one for colours and one for markers"
         )
-    table, notes = _drawable(points, x, y, by)
+    table, notes = _drawable(points, x, ys, by)
     low, high = float(table[x].min()), float(table[x].max())
     if log_x and low <= 0:
         raise InputError(f"--log-x: {x} = {low:g} is not above 0")
     notes = [*notes, *filter(None, [sweep.unfinished])]
     log = bool(log_x or (log_x is None and low > 0 and high > _SPREAD * low))
     heading = "\n".join(filter(None, (title, "; ".join(notes))))
-    figure = _figure(sweep, table, (x, y), by, log, heading)
-    if not by and (law := healing_of(table, x, y)):
-        notes = [*notes, f"healing: {law.told(unit=sweep.units.time)}"]
+    with matplotlib.rc_context(STYLE | PANELS | (PAPER if width else {})):
+        figure = _figure(sweep, table, columns, by, log, heading, width)
+    for y in ys if not by else ():
+        if law := healing_of(table, x, y):
+            notes = [*notes, f"healing: {law.told(unit=sweep.units.time)}"]
     return figure, notes
 
 
@@ -188,33 +211,86 @@ def healing_of(table: Points, x: str, y: str) -> Healing | None:
     return healing_law(*columns)
 
 
-@styled
 def _figure(
+    sweep: Sweep,
+    table: Points,
+    columns: Sequence[str],
+    by: list[str],
+    log: bool,
+    title: str,
+    width: float | None,
+) -> Figure:
+    """Draw points as `sweep_figure` says, which can all be drawn."""
+    x, *ys = columns
+    high = min(0.62 * width, 2.5) if width else 3.8 if len(ys) == 1 else 2.9
+    title = wrapped(title, 0.75 * (width or 9.0))
+    head = 0.5 + 0.13 * len(title.split("\n")) if width else 1.2
+    figure = Figure(figsize=(width or 9.0, head + high * len(ys)))
+    panels: Any = figure.subplots(len(ys), 1, sharex=True, squeeze=False)[:, 0]
+    look, legends, bar = _looks(table, by, sweep.units)
+    explained: dict[str, Line2D] = {}
+    drawn: list[Any] = []
+    for axes, y in zip(panels, ys, strict=True):
+        axes.set_xscale("log" if log else "linear")
+        explained |= _panel(axes, sweep, table, (x, y), by, look)
+        axes.set_ylabel(wrapped(axes.get_ylabel(), high))
+        drawn += axes.get_legend_handles_labels()[0]
+    if bar is not None:
+        label = axis(by[0], sweep.units, unknown=False)
+        where = "bottom" if width else "right"
+        figure.set_figheight(figure.get_figheight() + 0.6 * bool(width))
+        figure.colorbar(bar, ax=list(panels), label=label, location=where)
+    label = axis(x, sweep.units, fractions=sweep.fractions)
+    panels[-1].set_xlabel(wrapped(label, 0.75 * figure.get_figwidth()))
+    figure.align_ylabels(list(panels))
+    panels[0].set_title(title)
+    handles = [*legends, *explained.values(), *drawn]
+    for line in [*handles, *(line for axes in panels for line in axes.lines)]:
+        line.set_markersize(line.get_markersize() * (0.6 if width else 1.0))
+    if handles and not by and len(ys) == 1 and not width:
+        panels[0].legend(handles=handles)
+    elif handles and by and bar is None and not width:  # where it covers nothing
+        ncols = 1 + len(handles) // 26
+        figure.legend(handles=handles, ncols=ncols, loc="outside right upper")
+    elif handles:
+        _legend_below(figure, handles)
+    return figure
+
+
+def _legend_below(figure: Figure, handles: list[Any]) -> None:
+    """Add a legend below all panels, with as many columns as fit."""
+    for ncols in range(4, 0, -1):
+        where: dict[str, Any] = {"ncols": ncols, "loc": "outside lower center"}
+        legend = figure.legend(handles=handles, **where)
+        size = legend.get_window_extent()
+        if size.width < 0.95 * figure.bbox.width or ncols == 1:
+            figure.set_figheight(figure.get_figheight() + size.height / figure.dpi)
+            return
+        legend.remove()
+
+
+def _panel(
+    axes: Axes,
     sweep: Sweep,
     table: Points,
     columns: tuple[str, str],
     by: list[str],
-    log: bool,
-    title: str,
-) -> Figure:
-    """Draw points as `sweep_figure` says, which can all be drawn."""
+    look: Any,
+) -> dict[str, Line2D]:
+    """Draw one column against another; return the legend entries that explain it."""
     x, y = columns
     quantity = _stress(sweep, y, float(table[y].abs().max()))
     factor = quantity.factor if quantity else 1.0
     scaled = [name for name in (y, f"{y}_stderr", f"{y}_reference") if name in table]
     if quantity:
         table = table.assign(**{name: table[name] * factor for name in scaled})
-    figure = Figure(figsize=(9, 5))
-    axes = figure.subplots()
-    if log:
-        axes.set_xscale("log")
-    look, legends, bar = _looks(table, by, sweep.units)
     lines = dashes = False
     series = list(table.groupby(by, dropna=False)) if by else [((), table)]
     for values, members in series:
         style, line = look(values)
         members = members.sort_values(x)
         solves = _MOST_SOLVES // max(1, len(series))
+        log = axes.get_xscale() == "log"
         fine = _reference_curve(sweep, members, columns, log, solves)
         if fine is not None:
             how: dict[str, Any] = {"color": style["color"], "linestyle": line}
@@ -223,29 +299,17 @@ def _figure(
             draw_healing(axes, law, members[x].to_numpy(float), style["color"])
         lines |= fine is not None
         dashes |= _draw_series(axes, members, columns, style, dashed=fine is None)
-    if bar is not None:
-        figure.colorbar(bar, ax=axes, label=axis(by[0], sweep.units, unknown=False))
-    drawn = axes.get_legend_handles_labels()[0]
-    handles = [*legends, *_explained(table, y, lines, dashes), *drawn]
-    if handles and not by:
-        axes.legend(handles=handles)
-    elif handles:  # outside of the axes, where it covers nothing
-        columns_of_text, where = 1 + len(handles) // 26, "outside right upper"
-        if bar is not None:
-            columns_of_text, where = 4, "outside lower center"
-        figure.legend(handles=handles, ncols=columns_of_text, loc=where)
-    axes.set_xlabel(axis(x, sweep.units, fractions=sweep.fractions))
     axes.set_ylabel(axis(y, sweep.units, quantity.unit if quantity else ""))
-    if y == "friction":
-        Caption("", quantity=_friction_beside(sweep, table)).beside(axes)
+    Caption("", quantity=_friction_beside(sweep, table, y)).beside(axes)
     not_flat(axes)
-    axes.set_title(title)
-    return figure
+    return _explained(table, y, lines, dashes)
 
 
-def _drawable(table: Points, x: str, y: str, by: list[str]) -> tuple[Points, list[str]]:
+def _drawable(
+    table: Points, x: str, ys: list[str], by: list[str]
+) -> tuple[Points, list[str]]:
     """The points that can be drawn, and notes on the others."""
-    for name, option in ((x, "--x"), (y, "--y")):
+    for name, option in ((x, "--x"), *((y, "--y") for y in ys)):
         if not _numeric(_column(table, name, option)):
             of = _values(table[name])
             raise InputError(f"{option} {name}: is not a column of numbers but of {of}")
@@ -267,15 +331,14 @@ def _drawable(table: Points, x: str, y: str, by: list[str]) -> tuple[Points, lis
         raise InputError(f"{said} KEY=VALUE: {several}")
     table = table.assign(status=table.get("status", "ok"))
     failed = table["status"] == "failed"
-    shown = ~failed & np.isfinite(table[[x, y]].astype(float)).all(axis=1)
-    absent = {
-        "failed": failed.sum(),
-        f"without a finite {x} or {y}": (~failed & ~shown).sum(),
-    }
+    finite = {y: np.isfinite(table[[x, y]].astype(float)).all(axis=1) for y in ys}
+    absent = {"failed": failed.sum()}
+    absent |= {f"without a finite {x} or {y}": (~failed & ~finite[y]).sum() for y in ys}
     notes = [f"left out: {count} {why}" for why, count in absent.items() if count]
-    if not shown.any():
-        raise InputError("; ".join([f"--y {y}: no point to draw", *notes]))
-    return table[shown], notes
+    for y in ys:
+        if not (~failed & finite[y]).any():
+            raise InputError("; ".join([f"--y {y}: no point to draw", *notes]))
+    return table[~failed & np.logical_or.reduce([*finite.values()])], notes
 
 
 def _looks(
@@ -363,24 +426,27 @@ def _draw_series(
     return dashed
 
 
-def _explained(table: Points, y: str, lines: bool, dashes: bool) -> list[Line2D]:
-    """Legend entries of lines, dashes, bars and open markers, where there are any."""
+def _explained(table: Points, y: str, lines: bool, dashes: bool) -> dict[str, Line2D]:
+    """Legend entries of lines, dashes, bars and open markers, where there are any, and
+    then of the points."""
     bars = f"{y}_stderr" in table and table[f"{y}_stderr"].notna().any()
     mark: dict[str, Any] = {"linestyle": "none", "markersize": 11}
+    unsure = bool((table["status"] == "unreliable").any())
     looks = {
+        "points: simulated": (lines or dashes or bars or unsure, mark | _POINT_LOOK),
         "lines: master equation": (lines, {}),
         "dashes: master equation": (dashes, {**mark, "marker": "_"}),
         "bars: ± 2 standard errors": (bars, {**mark, "marker": "|"}),
         "open: unreliable": (
-            (table["status"] == "unreliable").any(),
+            unsure,
             {**mark, **_POINT_LOOK, "markerfacecolor": "white"},
         ),
     }
-    return [
-        Line2D([], [], color="0.35", label=label, **look)
+    return {
+        label: Line2D([], [], color="0.35", label=label, **look)
         for label, (present, look) in looks.items()
         if present
-    ]
+    }
 
 
 def _reference_curve(
@@ -429,7 +495,7 @@ def _curve_averages(
     if y in _REFERENCES:
         return np.asarray(getattr(found, y))
     for quantity in file.quantities:
-        if quantity.name == y:
+        if quantity.column == y:
             return np.asarray(found.friction * quantity.factor)
     raise InputError(f"{y}: is not known along a curve")
 
@@ -457,22 +523,28 @@ def _stress(sweep: Sweep, y: str, largest: float) -> Quantity | None:
     return next((one._replace(factor=1.0).near(largest) for one in stress), None)
 
 
-def _friction_beside(sweep: Sweep, table: Points) -> Quantity | None:
-    """The quantity that friction is at the interface, if all points share it."""
+def _friction_beside(sweep: Sweep, table: Points, y: str) -> Quantity | None:
+    """Another quantity that friction or the force `y` is at the interface, if all
+    points share it."""
     names = ("contacts.count", "contacts.stiffness")
     several = any(name in table and table[name].nunique() > 1 for name in names)
-    if sweep.file is None or several:
+    if sweep.file is None or several or y not in ("friction", "friction_force"):
         return None
     with suppress(InputError):
+        file = _point(sweep, table.iloc[0], {})
         largest = Estimate(float(table["friction"].abs().max()), None, 0)
-        return _point(sweep, table.iloc[0], {}).preferred(largest)
+        found, drawn = file.preferred(largest), file.quantities[:1]
+        if y == "friction" or not found:
+            return found
+        if found.name != drawn[0].name:
+            return found._replace(factor=found.factor / drawn[0].factor)
     return None
 
 
 def _column(table: Points, name: str, option: str) -> Column:
     if name not in table:
         known = [*map(str, table)]
-        hint = meant(_PRINTED.get(name, name), known) or f"there are {', '.join(known)}"
+        hint = meant(name, known) or f"there are {', '.join(known)}"
         raise InputError(f"{option} {name}: no such column; {hint}")
     return table[name]
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from eqsim import load
 from eqsim.cli.app import app
-from eqsim.plots.style import COLORS, saved
+from eqsim.plots.style import COLORS, PAPER, saved
 from eqsim.plots.sweeps import Sweep, read_sweep, select, sweep_figure
 from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked
@@ -108,6 +108,7 @@ def test_every_point_bar_and_line_is_where_it_should_be():
     texts = [text.get_text() for text in legend.get_texts()]
     assert texts[:4] == ["thermal energy  $k_B T$", "0.01", "0.1", "1"]
     assert texts[4:] == [
+        "points: simulated",
         "dashes: master equation",
         "bars: ± 2 standard errors",
         "open: unreliable",
@@ -138,6 +139,25 @@ def test_legend_covers_no_data():
     assert legend.x1 <= whole.x1
     assert legend.y0 >= whole.y0
     assert axes.width > 0.5 * whole.width
+
+
+def test_two_columns_of_a_table_on_a_column_of_a_page():
+    """Text has 7 or 8 points and is within the page, 85 mm wide, whose height follows
+    the legend; without wrapping (control) a long title is not."""
+    table, columns = points(), ("drive.velocity", "friction", "pinned")
+    more = ["thermal.kT"], None, "a title " * 20, 85.0 / 25.4
+    figure, _ = sweep_figure(Sweep(table), table, columns, *more)
+    saved(figure, "svg", PAPER)
+    page, drawn = figure.bbox_inches, figure.get_tightbbox()
+    assert page.width == pytest.approx(85.0 / 25.4, rel=1e-12, abs=0)
+    assert page.x0 <= drawn.x0 < drawn.x1 <= page.x1
+    assert page.y0 <= drawn.y0 < drawn.y1 <= page.y1
+    texts = figure.findobj(lambda one: hasattr(one, "get_fontsize") and one.get_text())
+    assert {text.get_fontsize() for text in texts} == {7.0, 8.0}
+    assert [axes.get_ylabel()[:6] for axes in figure.axes] == ["fricti", "pinned"]
+    figure.axes[0].set_title("a title " * 20)
+    saved(figure, "svg", PAPER)
+    assert figure.get_tightbbox().x0 < page.x0
 
 
 @pytest.mark.parametrize(
@@ -189,6 +209,12 @@ def test_command_writes_one_picture_outside_the_dataset(folder, tmp_path):
     }
     assert other.exists()
     assert call(folder, "--by", "thermal.kT", "--quiet").output == ""
+    table = points().rename(columns={"pinned": "friction_coefficient"})
+    (tmp_path / "mu").mkdir()
+    table.to_parquet(tmp_path / "mu" / "p.parquet")
+    done = call(tmp_path / "mu", "--by", "thermal.kT", "--y", "mu, friction")
+    assert (done.exit_code, done.stderr) == (0, "")
+    assert (tmp_path / "mu-mu-friction.png").exists()
 
 
 @pytest.mark.parametrize(
@@ -349,10 +375,9 @@ def test_a_sweep_knows_its_title_units_and_curve(tmp_path):
                                table["friction_stderr"] / table["friction"], rtol=1e-9)  # fmt: skip
     found = read_sweep(tmp_path / "s")
     assert found.file.title == "A film"
-    figure, _ = sweep_figure(
-        found, found.table, ("drive.velocity", "shear_stress"), ["thermal.temperature"]
-    )
-    axes = figure.axes[0]
+    columns = ("drive.velocity", "shear_stress")
+    figure, _ = sweep_figure(found, found.table, columns, ["thermal.temperature"])
+    axes, columns = figure.axes[0], ("drive.velocity", found.usual)
     assert axes.get_xlabel() == "driving velocity  $v$  [nm/s]"
     assert axes.get_ylabel().startswith(r"shear stress  $\tau$  [")
     lines = [line for line in axes.lines if line.get_linestyle() != "None"]
@@ -367,6 +392,18 @@ def test_a_sweep_knows_its_title_units_and_curve(tmp_path):
         np.testing.assert_allclose(
             at_points, here["shear_stress_reference"] / unit, rtol=1e-6
         )
+    # newtons are drawn where nothing else is asked for, beside another quantity
+    assert found.usual == "friction_force"
+    axes = sweep_figure(found, found.table, columns, ["thermal.temperature"])[0].axes[0]
+    assert axes.get_ylabel().endswith("[nN]")
+    lines = [line for line in axes.lines if line.get_linestyle() != "None"]
+    assert [line.get_xdata().size > 100 for line in lines] == [True, True]
+    (right,) = axes.child_axes
+    axes.figure.draw_without_rendering()
+    stress = {"Pa": 1.0, "kPa": 1e3, "mPa": 1e-3}[right.get_ylabel()[15:-1]]
+    ratio = found.table["shear_stress"] / found.table["friction_force"] / stress
+    limits = [np.array(one.get_ylim()) for one in (axes, right)]
+    np.testing.assert_allclose(limits[1] / limits[0], ratio[:2], rtol=1e-9)
     # the same over temperature, one solve a point
     args = (
         found.table[found.table["drive.velocity"] == 10.0],
@@ -502,6 +539,9 @@ def test_other_parameters_must_be_chosen(tmp_path):
             ["--by", "thermal.kT", "--out", "p.gif"],
             "--out p.gif: must end in .png, .pdf or .svg",
         ),
+        (["--width", "3 mm"], "--width 3 mm: must be a length, 50mm to 500mm"),
+        (["--width", "85"], "--width 85: must be a length"),
+        (["--y", "friction,"], "--y : no such column"),
         (
             ["--by", "thermal.kT", "--by", "disorder", "--by", "pinned"],
             "--by pinned: at most two columns",
