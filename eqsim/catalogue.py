@@ -120,7 +120,8 @@ def entry(name: str) -> Entry | None:
         known = COLUMNS.get(f"segment.{found[2]}")
         measure = COLUMNS.get(found[3] or "")
         if known and measure:
-            known = known._replace(symbol=measure.symbol, dimension=measure.dimension)
+            words = f"{known.words}, {measure.words}"
+            known = measure._replace(words=words, meaning="")
         return known and known._replace(words=f"segment {found[1]}: {known.words}")
     if found := re.fullmatch(r"drive\.programme\.(\d+)\.(\w+)", name):
         known = KEYS.get(f"drive.programme.{found[2]}")

@@ -47,11 +47,14 @@ def elastic_figure(
 
 
 @styled
-def avalanches_figure(run: "ElasticTrajectory", law: Array, caption: Caption) -> Figure:
+def avalanches_figure(
+    run: "ElasticTrajectory", starts: Array, law: Array, caption: Caption
+) -> Figure:
     """Draw the distribution of sizes of avalanches over the second half of the plate's
-    way beside the exact law, P(1), P(2), ..., and how many blocks take part."""
-    figure = Figure(figsize=(10, 4.4))
-    left, right = figure.subplots(1, 2)
+    way beside the exact law, P(1), P(2), ..., how many blocks take part, and how many
+    avalanches start in each block, with as many rows as `starts`."""
+    figure = Figure(figsize=(14, 4.4))
+    left, right, where = figure.subplots(1, 3)
     late = run.avalanches["D"] > 0.5 * run.D[-1]
     breaks, blocks = run.avalanches["breaks"][late], run.avalanches["blocks"][late]
     edges, centre = draw_sizes(left, breaks, breaks.size, law, "avalanches")
@@ -65,6 +68,17 @@ def avalanches_figure(run: "ElasticTrajectory", law: Array, caption: Caption) ->
     line: dict[str, Any] = {"color": "0.6", "linewidth": 0.8, "linestyle": ":"}
     right.plot([1, most], [1, most], label="every break in another block", **line)
     right.set(ylabel="blocks that take part")
+    rows, columns = starts.shape
+    if rows > 1:
+        _image(where, starts, (columns, rows), "avalanches that start there")
+        where.set(xlabel="column", ylabel="row")
+    else:
+        mean, root = starts.mean(), 2 * np.sqrt(starts.mean())
+        look: dict[str, Any] = {"color": "0.85", "label": "their mean ± 2 of its roots"}
+        where.axhspan(mean - root, mean + root, **look)
+        where.plot(starts[0], ".", markersize=4)
+        where.set(xlabel="block", ylabel="avalanches that start in a block")
+        where.legend()
     for axes, place in ((left, "lower left"), (right, "upper left")):
         axes.set(xscale="log", yscale="log", xlabel="breaks of an avalanche  $s$")
         axes.legend(loc=place)

@@ -143,7 +143,7 @@ def programme_figure(
         below = lower.subplots(1, len(holds), squeeze=False, sharey=True)[0]
     force, curve, *differences = upper.subplots(len(rows), 1, height_ratios=rows)
     drawn = _force(force, run.t, run, exact)
-    legend_below(figure, {caption.band: drawn.pop(""), **drawn})
+    drawn = {caption.band: drawn.pop(""), **drawn}
     force.set_title(caption.heading)
     _force(curve, run.X, run, exact)
     curve.set(xlabel=caption.along("X"))
@@ -157,7 +157,9 @@ def programme_figure(
     for panel in (force, *differences):
         panel.set(xlabel=caption.along("time"), xlim=(run.t[0], run.t[-1]))
         for segment in run.segments[:-1] if len(run.segments) <= _MOST_MARKS else ():
-            panel.axvline(segment.t, color="0.6", linewidth=0.7)
+            line = panel.axvline(segment.t, color="0.6", linewidth=0.7)
+            drawn["ends of segments"] = line
+    legend_below(figure, drawn)
     for panel, index in zip(below, holds, strict=True):
         here = np.flatnonzero(run.segment == index)
         begin = run.t[here[0] - 1] if index else 0.0
@@ -225,7 +227,8 @@ def slider_figure(
     if exact is not None:
         drawn["friction, mean field"] = force.plot(run.t, exact.force, **EXACT)[0]
     for slip in run.slips if len(run.slips) <= _MOST_MARKS else ():
-        force.axvline(slip.t, color="0.7", linewidth=0.7, zorder=0)
+        line = force.axvline(slip.t, color="0.7", linewidth=0.7, zorder=0)
+        drawn["slips, at half of their drop"] = line
     force.set(ylabel=caption.length("force / $(N k)$"))
     caption.beside(force)
     force.set_title(caption.heading)

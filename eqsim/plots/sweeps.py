@@ -105,7 +105,8 @@ def read_sweep(folder: Path) -> Sweep:
     except (OSError, pyarrow.ArrowException) as error:
         said = f"cannot be read as Parquet files ({str(error).splitlines()[0]})"
         if (folder / "summary.json").is_file():
-            said = "is no sweep; the pictures of a run are in its folder already"
+            drawn = ", ".join(sorted(path.name for path in folder.glob("*.png")))
+            said = f"is no sweep; the pictures of a run are there already: {drawn}"
         raise InputError(f"{folder}: {said}") from None
     table = found.to_pandas().reset_index(drop=True)
     if "friction" in table:  # by eqsim, perhaps an old version

@@ -61,6 +61,15 @@ class ElasticResult(SimulatedFile):
         return self.elastic.follows_events(self.ensemble.thermal.active)
 
     @cached_property
+    def starts(self) -> Array:
+        """How many avalanches over the second half of the plate's way start in each
+        block, (rows, columns)."""
+        run, (columns, rows) = self.trajectory, self.elastic.shape
+        late = run.avalanches["D"] > 0.5 * run.D[-1]
+        first = run.avalanches["block"][late]
+        return np.bincount(first, minlength=rows * columns).reshape(rows, columns)
+
+    @cached_property
     def rigid(self) -> Estimate:
         """Exact friction of a rigid slider, and that over displacement."""
         return reference(self.ensemble, replace(self.drive, elastic=None)).friction
@@ -102,6 +111,12 @@ class ElasticResult(SimulatedFile):
             **self.file.physical(friction, exact.value),
             "z": {name: difference(*pair) for name, pair in averages.items()},
             "avalanches": len(run.avalanches["breaks"]),
+            "starts": {
+                "mean": float(self.starts.mean()),
+                "std": float(self.starts.std()),
+                "most": int(self.starts.max()),
+                "block": int(self.starts.argmax()),
+            },
             **self.made(),
         }
 
@@ -115,7 +130,7 @@ class ElasticResult(SimulatedFile):
         caption = panels.Caption.of(self.file, title, self.friction.value)
         return {
             "force": draw.elastic_figure(run, self.friction, caption),
-            "avalanches": draw.avalanches_figure(run, self.sizes, caption),
+            "avalanches": draw.avalanches_figure(run, self.starts, self.sizes, caption),
             "fronts": draw.fronts_figure(run, *self.elastic.shape, caption),
         }
 
@@ -142,6 +157,12 @@ class ElasticResult(SimulatedFile):
                 f"{breaks.size} avalanches, the largest of {breaks.max()} breaks; "
                 f"{blocks.mean():.3g} of {self.elastic.count} blocks take part in the "
                 f"mean, {blocks.max()} at most"
+            )
+            starts = self.starts
+            yield (
+                f"over the second half {starts.mean():.4g} start in a block in the mean, "
+                f"with a standard deviation of {starts.std():.3g} between blocks; "
+                f"{starts.max()} in block {starts.argmax()}"
             )
         if self.in_time:
             yield f"a rigid slider has a friction of {self.rigid.value:.6g} at this velocity"

@@ -38,6 +38,7 @@ from eqsim import (
 from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import draw_birth
 from eqsim.errors import InputError
+from eqsim.io.export import meaning
 from eqsim.io.runfile import check
 from eqsim.master.avalanche_sizes import missed_by_few, size_law
 from eqsim.materials import OCTAMETHYLCYCLOTETRASILOXANE, STEEL
@@ -566,6 +567,13 @@ def test_run_and_replay(path, tmp_path, blocks):
         "replica",
     ]
     assert list(blocks) == ["t", "D", "block", "X", "force", "breaks", "replica"]
+    assert all(map(meaning, [*avalanches, *blocks]))
+    late = avalanches[avalanches["D"] > 20.0]["block"]
+    starts = late.value_counts().reindex(range(32), fill_value=0)
+    shown = summary["starts"]
+    assert (shown["most"], starts[shown["block"]]) == (starts.max(), starts.max())
+    assert shown["mean"] == pytest.approx(late.size / 32, rel=1e-12, abs=0)
+    assert shown["std"] == pytest.approx(starts.std(ddof=0), rel=1e-12, abs=0)
     assert len(blocks) == 32 * 41
     np.testing.assert_allclose(trajectories["t"], 2.0 * trajectories["D"], rtol=1e-14)
     np.testing.assert_allclose(avalanches["t"], 2.0 * avalanches["D"], rtol=1e-14)

@@ -11,7 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 from command_line import call
 
-from eqsim import load, sweep
+from eqsim import Units, load, sweep
+from eqsim.catalogue import KEYS
 from eqsim.fitting.record import read_record
 from eqsim.fitting.section import section_of
 from eqsim.io import csv
@@ -134,6 +135,7 @@ def test_a_sweep(made, path):
         "# friction_reference_error: bound of the error of the reference (length)\n"
         in (made / "swept.csv").read_text()
     )
+    assert all(map(meaning, set(pd.read_parquet(made / "swept")) - {*KEYS}))
     (made / "swept.csv").unlink()
     refused = call("export", made / path, "--out", made / "swept" / "x.csv")
     assert (refused.exit_code, refused.stderr.count("\n")) == (2, 1)
@@ -294,6 +296,10 @@ def test_meanings():
     assert meaning("drive.velocity") == "(length/time)"
     assert meaning("thermal.temperature") == "(K)"
     assert meaning("disorder") == ""
+    units = Units("um", "s", "mN")
+    assert meaning("segment_1_end", units) == "segment 1: force at its end (um)"
+    mu = "segment 1: force at its end, friction coefficient"
+    assert meaning("segment_1_end_friction_coefficient", units) == mu
     assert meaning("newborn.mean") == "(length)"
     assert meaning("newborn.mean", fractions=True) == ""
 
