@@ -66,6 +66,35 @@ def test_prediction_is_the_mean_field(folder):
     assert np.abs(better - exact.force).max() < 0.3 * np.abs(coarse - exact.force).max()
 
 
+def test_slip_that_was_recorded_drives_the_slider(tmp_path):
+    """Contacts know the slider's way alone: driven along the slip of a run behind a
+    spring, without one, they have its force at T = 0, where no time passes, within the
+    errors of both; driven along the load point (control) they have not."""
+    spring = {"stiffness": 0.5}
+    drive = {"programme": [{"velocity": 0.1, "time": 40.0}]}
+    base = {"contacts": {"stiffness_law": "uniform"}}
+    file = check(base | {"drive": drive | {"stage": spring}})
+    exact = transient(file.ensemble, file.drive, 41)
+    table = np.c_[exact.t, exact.X, exact.stage, exact.force]
+    head = {"header": "t,slip,load_point,force", "comments": "", "delimiter": ","}
+    np.savetxt(tmp_path / "slip.csv", table, "%.15g", **head)
+    drive = {"file": "slip.csv"}
+    fit = {
+        "record": {"file": "slip.csv"},
+        "noise": {"absolute": 0.005},
+        "free": {"thresholds.x_star": {"bounds": [0.1, 10.0]}},
+    }
+    off = {}
+    for name in ("slip", "load_point"):
+        given = {"drive": drive | {"record": {"displacement": name}}, "fit": fit}
+        forward = prepare(check(base | given, tmp_path), None, False).problem.forward
+        force, error = forward.predict({})
+        sigma = error + exact.force_error
+        off[name] = float(np.abs((force - exact.force) / sigma).max())
+    assert off["slip"] < 1.0, off
+    assert off["load_point"] > 100.0, off
+
+
 def test_machine_stiffness_is_that_of_the_stage(folder):
     """K = scale kappa_s."""
     file = load(folder / "run.toml")
