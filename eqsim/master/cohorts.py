@@ -169,13 +169,14 @@ def empty(nodes: int, rows: int) -> Cohorts:
 
 
 @routine
-def with_room(cohorts: Cohorts, rows: int) -> Cohorts:
-    """A copy with room for `rows` cohorts."""
+def with_room(cohorts: Cohorts, count: int, rows: int) -> Cohorts:
+    """A copy of the `count` cohorts in use with room for `rows`."""
     larger = empty(cohorts.z.shape[1], rows)
     for i in range(cohorts.order.size):
         larger.order[i] = cohorts.order[i]
-        larger.rows[i] = cohorts.rows[i]
-        copy(cohorts.z[i], larger.z[i])
+    for j in cohorts.order[:count]:
+        larger.rows[j] = cohorts.rows[j]
+        copy(cohorts.z[j], larger.z[j])
     return larger
 
 
@@ -557,7 +558,7 @@ def march(contacts: Any, path: CohortPath) -> History:
         if path.stop[0] != 0:
             break
         if count == cohorts.order.size:
-            cohorts = with_room(cohorts, 2 * count)
+            cohorts = with_room(cohorts, count, 2 * count)
         count = advance_all(contacts, path, cohorts, history, m, count, rate)
         observe(cohorts, count, path.X[m], history, m)
     return history

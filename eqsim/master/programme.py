@@ -210,6 +210,14 @@ class Course(NamedTuple):
     before: float
     shift: float = 0.0
 
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """The mean and the greatest speed while it moves; 1 if no velocity is given."""
+        speed, time = np.abs(self.velocity), np.diff(self.ends, prepend=0.0)
+        if not speed.any():
+            return 1.0, 1.0
+        return float(speed @ time / time[speed > 0.0].sum()), float(speed.max())
+
     def at(self, t: Array) -> Array:
         """X at times t."""
         X = np.cumsum(np.diff(self.ends, prepend=0.0) * self.velocity)
@@ -372,22 +380,23 @@ def _typical(contacts: Reduced, reach: float) -> float:
     return float(np.mean(law.inverse_survival(-np.log1p(-share * ranks)))) / law.scale
 
 
-def outlived(contacts: Reduced) -> Array:
-    """Stretches that 1/e and e^-36 of contacts without delay outlive, shape (2,), if
-    none or the median threshold is in the way."""
+def outlived(contacts: Reduced, speed: float) -> Array:
+    """Stretches that 1/e and e^-36 of contacts without delay outlive at a speed, shape
+    (2,), if none or the median threshold is in the way."""
     law, barrier = contacts.law, contacts.barrier
     xi = np.array([float(law.inverse_survival(math.log(2.0))) / law.scale])
     a = barrier.b * kappa_of(contacts, xi)
-    return np.minimum(barrier.stretch_at(np.log([1.0, 36.0]), xi, a)[0], xi)
+    levels = np.log([speed, 36.0 * speed])
+    return np.minimum(barrier.stretch_at(levels, xi, a)[0], xi)
 
 
-def _lift(contacts: Reduced) -> float:
+def _lift(contacts: Reduced, fastest: float) -> float:
     """ln of how far the rate at which heat breaks contacts rises beyond that of
     attempts, as it does where force alone decides."""
     barrier = contacts.barrier
     if not barrier.by_force:
         return 0.0
-    last = outlived(contacts)[-1:]
+    last = outlived(contacts, fastest)[-1:]
     return max(float(barrier.log_rate(last, last, barrier.b)[0]), 0.0)
 
 
@@ -401,8 +410,9 @@ def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
     low, high, strongest = np.asarray(law.inverse_survival(exponents)) / law.scale
     typical = law.mean / law.scale if v else _typical(contacts, reach)
     if isinstance(law, NoThresholds):
-        one, strongest = outlived(contacts)
-        typical = min(one, reach)
+        mean, fastest = course.speeds
+        strongest = outlived(contacts, v or fastest)[1]
+        typical = min(outlived(contacts, mean)[0], reach)
     width = typical
     if high > low:
         width = min(max(1.5 * (high - low), 0.02 * typical), typical)
@@ -429,7 +439,8 @@ def solve(contacts: Reduced, course: Course) -> tuple[Array, Array, list[History
     grown = np.append(np.abs(growth[:-1] - 1.0) > _LEAST_GROWTH, True)
     quickest = min(1.0, delay.mean or 1.0, float(ages[np.argmax(grown)]))
     if thermal:
-        quickest = min(quickest, math.exp(-contacts.barrier.log_w - _lift(contacts)))
+        lift = _lift(contacts, course.speeds[1])
+        quickest = min(quickest, math.exp(-contacts.barrier.log_w - lift))
     fixed, changes = isinstance(delay, Fixed), not isinstance(aging, Unaged)
     sharp = sharp_instants(
         Corners(corners, X),

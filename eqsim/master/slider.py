@@ -67,8 +67,11 @@ _MARKS = 200
 _BETWEEN = 0.02
 # Error of F allowed in a step of the coarsest accuracy, in typical thresholds.
 _FORCE_TOLERANCE = 1e-4
-# Share of that error which r may cause.
-_RATE_TOLERANCE = 0.05
+# Error of F that a guess of r may cause, over that error: in a step X(t) is straight,
+# which costs more, and the next step begins with the true force.
+_RATE_TOLERANCE = 2.0
+# A response of r to its guess, or its inverse, beyond which it is not used again.
+_ODD = 4.0
 # Most trials in which r is found.
 _TRIALS = 8
 # Pinned share below which a slider under a force has let go. Of heavy tails some hold
@@ -77,6 +80,8 @@ _LET_GO = 1e-6
 # Shortest step over the longest in which F may change by more than it should because
 # cohorts are joined.
 _ROUGH = 0.1
+# Most growth of a step: where one of two up to a mark is short enough, one is tried.
+_GROWTH = 1.7
 # Damping that stands for a motor without a velocity.
 _STANDS = 1e100
 # Share of the largest displacement, in which without heat all contacts may break.
@@ -270,6 +275,8 @@ def pull(
     # in the last step: change of F by breaks and births, per dX (rho) and per time (r),
     # change of the pinned share per time (q), and acceleration
     rho, r, q, acceleration = 0.0, 0.0, 0.0, 0.0
+    bend = 0.0  # change of r per time between the last two steps
+    response = -1.0  # change of what r misses its guess by, per change of the guess
     longest = _FIRST_OF_ALL * whole
     shortest = max(_STEP_PER_WIDTH * path.width, _LEAST_STEP * whole)
     halvings = 0  # of the largest displacement in a step that takes no time
@@ -287,12 +294,16 @@ def pull(
             lost = True
             break
         held, A = spring.stiffness + stiffness + rho, stiffness
-        last = 1.2 * longest >= marks[k] - t[m - 1]
-        dt, halvings = marks[k] - t[m - 1] if last else longest, max(halvings - 2, 0)
+        # steps up to the mark are even, as r is noisy where their length changes
+        equal = max(math.ceil((marks[k] - t[m - 1]) / longest - 0.2), 1)
+        last = equal == 1
+        dt, halvings = (marks[k] - t[m - 1]) / equal, max(halvings - 2, 0)
         if given:
             dt, last = t[m] - t[m - 1], t[m] == marks[k]
             halvings = choices.steps[m].halvings
-        guess, tries, guess_before, missed_before = r, 0, 0.0, 0.0
+        tries, guess_before, missed_before = 0, 0.0, 0.0
+        dt_before = t[m - 1] - t[m - 2] if m > 1 else 0.0
+        guess = r + 0.5 * bend * (dt + dt_before)
         while True:
             now = Balance(force, net, damping, A + rho, V0, guess)
             dX, V = driven(spring, now, way.speeds[k], way.rates[k], dt)
@@ -305,7 +316,8 @@ def pull(
                 if not instant and not abs(dX) <= _FARTHER * path.width:
                     return Slide(means, m, False, False)
             elif (instant and dt > shortest) or (rough and dt > _ROUGH * longest):
-                dt, last, guess, tries = 0.5 * dt, False, r, 0
+                dt, last, tries = 0.5 * dt, False, 0
+                guess = r + 0.5 * bend * (dt + dt_before)
                 continue
             if instant:
                 # nothing holds the slider: it moves towards balance in no time
@@ -323,7 +335,7 @@ def pull(
             after, rows = cohorts, cohorts.order.size
             # a copy, as the step may be tried again
             if not given or spring.heat or count == rows:
-                after = with_room(cohorts, 2 * count if count == rows else rows)
+                after = with_room(cohorts, count, 2 * count if count == rows else rows)
             kept = advance_all(contacts, path, after, history, m, count, rate)
             stiffness = observe(after, kept, X[m], history, m)
             Y[m] = Y[m - 1] + way.speeds[k] * (t[m] - t[m - 1])
@@ -361,11 +373,12 @@ def pull(
                     break
                 tries = _TRIALS
                 continue
-            slope = -1.0
             if tries > 0:
-                slope = (missed - missed_before) / (guess - guess_before)
+                response = (missed - missed_before) / (guess - guess_before)
+            elif not -_ODD < response < -1.0 / _ODD:
+                response = -1.0
             guess_before, missed_before = guess, missed
-            guess, tries = guess - missed / slope, tries + 1
+            guess, tries = guess - missed / response, tries + 1
         if given and off > _WORSE * tolerance and not instant:
             return Slide(means, m, False, False)
         cohorts, count = after, kept
@@ -382,14 +395,17 @@ def pull(
             off = max(off, bent * (spring.stiffness + stiffness))
             acceleration = (V - V0) / dt
         if not instant:
-            grown = 1.5 * dt
+            grown = _GROWTH * dt
             if off > 0.0:
-                grown = dt * min(max(0.9 * math.sqrt(tolerance / off), 0.3), 1.5)
+                grown = dt * min(max(0.9 * math.sqrt(tolerance / off), 0.3), _GROWTH)
             longest = max(grown, longest) if last and off < tolerance else grown
             if sudden and spring.discrete:  # they have broken
                 longest, usual = max(longest, usual), 0.0
         if spring.heat:
-            r = 0.0 if instant else change / dt
+            r_before, r = r, 0.0 if instant else change / dt
+            bend = 0.0
+            if dt_before > 0.0 and not instant:
+                bend = 2.0 * (r - r_before) / (dt + dt_before)
         else:
             softer = change / dX if dX != 0.0 else 0.0
             # else equal thresholds broke, which says nothing of the next step
