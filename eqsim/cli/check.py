@@ -19,7 +19,7 @@ with lazily():
     from eqsim.workflows import validation
 
 _File = Argument(metavar="FILE", help="Parquet file that eqsim wrote.")
-_SUITE = '"quick" (seconds) or "full" (minutes).'
+_SUITE = '"quick" (1 to 3 minutes) or "full" (10 to 20 minutes).'
 _SCORES = "Folder for the table of scores and the picture."
 _SUITE_SEED = "Random seed of parameter points and lives."
 _PARQUET = "Parquet file, or the folder of a run, sweep or fit."

@@ -88,7 +88,7 @@ class Shown:
     json: Annotated[bool, Option("--json", help="Print JSON for machines.")] = False
     quiet: Annotated[bool, Option("--quiet", help="Print errors only.")] = False
 
-    def bar(self, title: str, unit: str) -> AbstractContextManager[Progress]:
+    def bar(self, title: str, unit: str = "") -> AbstractContextManager[Progress]:
         """A progress bar, unless JSON or errors only are printed."""
         return terminal.bar(title, self.quiet or self.json, unit)
 
@@ -119,7 +119,8 @@ class Shown:
         if given."""
         more = []
         if out is not None:
-            files = result.files(name, formats)
+            with self.bar(result.phase):
+                files = result.files(name, formats)
             storage.publish(out, files)
             more = [f"{out}/: {result.written(list(files))}"]
         result.report(name, *more).show(self.json, self.quiet)

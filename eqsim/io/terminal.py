@@ -13,7 +13,6 @@ from rich.progress import (
     Progress,
     ProgressColumn,
     TextColumn,
-    TimeRemainingColumn,
 )
 from rich.table import Table
 from rich.text import Text
@@ -21,7 +20,7 @@ from rich.text import Text
 from eqsim.io.storage import to_json
 from eqsim.numerics.kernel_folder import compiling_since
 
-_LONG_ATTEMPT = 20.0  # seconds from which on the time left is announced
+LONG_ATTEMPT = 20.0  # seconds from which on the time left is announced
 _COMPILING = 1.0  # seconds after which the bar says that kernels are compiled
 _FILE_WIDTH = 100  # width of a table that goes to a file
 _LEFT_COLUMNS = ("", "group", "meaning", "unit")  # words, which begin at the left
@@ -123,7 +122,7 @@ def announcing(
         now = time.perf_counter()
         if done == 0:
             begin = now
-            if speed and total > max(largest, _LONG_ATTEMPT * speed):
+            if speed and total > max(largest, LONG_ATTEMPT * speed):
                 largest = total
                 needed, pace = duration(total / speed), f"{count(speed)}/s"
                 note(f"about {needed} to go: {count(total)} lives at {pace}")
@@ -144,31 +143,32 @@ class _Doing(TextColumn):
         return Text("compiling kernels, once for these laws")
 
 
-class _Rate(ProgressColumn):
-    """Column of units per second."""
+class _Pace(ProgressColumn):
+    """Column of units per second and the time left, or if these are not known, as while
+    kernels are compiled, of the time so far."""
 
     def __init__(self, unit: str) -> None:
         super().__init__()
         self.unit = unit
 
     def render(self, task: Any) -> Any:
-        return Text(f"{count(task.speed or 0.0)} {self.unit}/s")
+        left = task.time_remaining
+        if not left or compiling_since() is not None:
+            return Text(f"{duration(task.elapsed or 0.0)} so far")
+        return Text(f"{count(task.speed)} {self.unit}/s, {duration(left)} to go")
 
 
 @contextmanager
-def bar(title: str, silent: bool, unit: str) -> Iterator[Callable[[int, float], None]]:
+def bar(
+    title: str, silent: bool, unit: str = ""
+) -> Iterator[Callable[[int, float], None]]:
     """A progress bar on the terminal's standard error, for `progress(done, total)`; it
     tells when kernels are compiled for longer than a moment."""
     console = Console(stderr=True)
     if silent or not console.is_terminal:
         yield lambda *_: None
         return
-    columns = (
-        _Doing("{task.description}"),
-        BarColumn(),
-        _Rate(unit),
-        TimeRemainingColumn(),
-    )
+    columns = _Doing("{task.description}"), BarColumn(), _Pace(unit)
     shown = Progress(
         *columns, console=console, transient=True, speed_estimate_period=3600.0
     )

@@ -19,7 +19,7 @@ from typing import Any
 
 from eqsim.errors import InputError
 from eqsim.io import signals
-from eqsim.io.terminal import duration
+from eqsim.io.terminal import LONG_ATTEMPT, duration
 from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked, compute
@@ -171,9 +171,10 @@ class Scheduler:
             slots = self.pool.slots()
             if not told and self.pending and len(self.recent) >= slots:
                 told, mean = True, statistics.fmean(self.recent)
-                needed = duration(mean * len(self.pending) / slots)
+                needed = mean * len(self.pending) / slots
                 pace = f"{duration(mean)} a point, {slots} workers"
-                self.note(f"about {needed} to go: {pace}")
+                if needed > LONG_ATTEMPT:
+                    self.note(f"about {duration(needed)} to go: {pace}")
             self.progress(self.done, total)
         return self.seconds
 

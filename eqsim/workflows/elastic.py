@@ -40,6 +40,7 @@ class ElasticResult(SimulatedFile):
     file: RunFile
     trajectory: ElasticTrajectory
     exact = Solved(None)
+    exact_name = "writing"
 
     @property
     def elastic(self) -> Elastic:

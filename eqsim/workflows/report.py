@@ -51,6 +51,11 @@ class FileResult:
         """Settings of the call, with which `eqsim replay` repeats it."""
         return self.file.settings
 
+    @property
+    def phase(self) -> str:
+        """What its files wait for, as a progress bar says it."""
+        return "writing"
+
     def summary(self) -> dict[str, Any]:
         """The content of summary.json, and what --json prints."""
         raise NotImplementedError
@@ -115,6 +120,7 @@ class SimulatedFile(FileResult, Listed):
     trajectory: Any
     who: str = "threads"
     compares: bool = True
+    exact_name = "exact curve"
 
     def __post_init__(self) -> None:
         tell_quantities(self, self.file.quantities_in)
@@ -123,6 +129,10 @@ class SimulatedFile(FileResult, Listed):
         """The force of the trajectory as `Result.in_units` gives it."""
         physical: dict[str, Physical] = self.trajectory.in_units(units, interface)
         return physical
+
+    @property
+    def phase(self) -> str:
+        return self.exact_name if self.compares else super().phase
 
     @cached_property
     def exact(self) -> Solved[Transient]:

@@ -339,6 +339,7 @@ class SliderResult(ProgrammeResult):
     """Simulation of a run file whose slider a stage, a force or a motor pulls."""
 
     trajectory: SliderTrajectory
+    exact_name = "mean field"
 
     @cached_property
     def exact(self) -> Solved[Transient]:

@@ -143,7 +143,7 @@ def stability(
     `borders` over velocity. `bar(title, unit)` is a context with a progress bar. Raises
     InputError."""
     pulled = solver.pulled_by(file.ensemble, file.drive)
-    with bar("solving", "equations"):
+    with bar("critical stiffness", ""):
         found = solver.stability(pulled.ensemble, pulled.programme())
     if not borders:
         return StabilityResult(file, found, {})

@@ -223,7 +223,7 @@ def test_long_estimates_say_how_long(run_file, monkeypatch):
         "about 50 s to go: 1 M lives at 20 k/s"
     ]  # and 20 s are none worth a note
     monkeypatch.undo()
-    monkeypatch.setattr(terminal, "_LONG_ATTEMPT", 0.0)
+    monkeypatch.setattr(terminal, "LONG_ATTEMPT", 0.0)
     args = ("steady", run_file, "--rel-error", "2e-5")
     assert re.search(
         r"^about \S+ m?s to go: \S+ [kM] lives at \S+ [kM]/s\n", call(*args).stdout
