@@ -40,6 +40,8 @@ from eqsim.master import stability as _stability
 from eqsim.master import steady as _exact
 from eqsim.master import transient as _transient
 from eqsim.master.bursts import Bursts
+from eqsim.master.chain_fronts import front_prestress, front_speed
+from eqsim.master.chains import Precursors, edge_load, precursors
 from eqsim.master.closure import Closure
 from eqsim.master.lifetimes import Lifetime
 from eqsim.master.stability import FreshSlip, Stability
@@ -86,6 +88,7 @@ __all__ = [
     "Pathway",
     "Population",
     "Posterior",
+    "Precursors",
     "Programme",
     "ProgrammeTrajectory",
     "RateAndState",
@@ -113,14 +116,18 @@ __all__ = [
     "bursts",
     "closure",
     "curve",
+    "edge_load",
     "elastic_trajectory",
     "fit",
     "fit_rate_and_state",
     "fluctuations",
     "fresh_slip",
+    "front_prestress",
+    "front_speed",
     "lifetime",
     "load",
     "posterior",
+    "precursors",
     "record_of",
     "reference",
     "replay",
