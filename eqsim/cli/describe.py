@@ -18,7 +18,7 @@ from eqsim.paper import NOTE
 with lazily():
     from eqsim import materials
     from eqsim.engine import trajectory
-    from eqsim.io import runfile, schema, units
+    from eqsim.io import runfile, schema, surface, units
     from eqsim.model import groups
 
 _PRESETS = '"steel", "octamethylcyclotetrasiloxane" ("omcts")'
@@ -44,7 +44,7 @@ def info(
     lives = trajectory.predicted_lives(ensemble, drive, file.output.replicas)
     found += units.scales(ensemble, file.units, file.interface)
     stage = file["drive.stage"]
-    if stage and (machine := file.machine(stage["stiffness"])):
+    if stage and (machine := surface.machine_stiffness(file, stage["stiffness"])):
         found.append(groups.Group("K", machine, "stiffness of the machine"))
     shown.doubt(file, drive)
     rows = [

@@ -22,7 +22,7 @@ from eqsim.io import storage, terminal
 from eqsim.lazy import lazily
 
 with lazily():
-    from eqsim.io import runfile
+    from eqsim.io import runfile, surface
     from eqsim.model import groups
     from eqsim.workflows import report as results
 
@@ -100,7 +100,7 @@ class Shown:
     def doubt(self, file: "runfile.RunFile", drive: Any = None) -> None:
         """Warn on standard error about numbers whose units were probably mixed, and what
         was assumed for a surface in units."""
-        lines = (groups.doubts(file.ensemble, drive), file.doubts())
+        lines = (groups.doubts(file.ensemble, drive), surface.doubts(file))
         for line in itertools.chain(*lines) if not self.quiet else ():
             complain(f"warning: {line}")
 

@@ -14,8 +14,9 @@ from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.follow import follow
 from eqsim.engine.lanes import idle_lanes
 from eqsim.engine.langevin import STEP_ERROR, step_error
+from eqsim.engine.readings import Forces, shown_by
 from eqsim.engine.recorder import Extent, Moments, Recorder, Run, Scales
-from eqsim.engine.records import Forces, ProgrammeTrajectory, shown_by
+from eqsim.engine.records import ProgrammeTrajectory
 from eqsim.engine.sample import typical_lives
 from eqsim.engine.scatter import Scatter
 from eqsim.engine.segments import Snapshot, begin_stationary, waits_at_rest

@@ -17,14 +17,8 @@ from scipy import ndimage
 
 from eqsim.engine import avalanches, events
 from eqsim.engine.blocks import Progress, Threads, workers_of
-from eqsim.engine.records import (
-    Forces,
-    SliderTrajectory,
-    Slip,
-    by_replica,
-    shown_by,
-    slips_of,
-)
+from eqsim.engine.readings import Forces, shown_by, slips_of
+from eqsim.engine.records import SliderTrajectory, Slip, by_replica
 from eqsim.engine.scatter import pinned_variance
 from eqsim.engine.slider import Slider
 from eqsim.laws.stiffness import kappa

@@ -16,8 +16,9 @@ from eqsim import estimate
 from eqsim.engine import programme, scatter
 from eqsim.engine.blocks import Progress, Threads, require_lives, simulated, workers_of
 from eqsim.engine.contacts import Contacts, contacts
+from eqsim.engine.readings import Forces, shown_by
 from eqsim.engine.recorder import BATCHES, Run, Scales, Window
-from eqsim.engine.records import Forces, ProgrammeTrajectory, Trajectory, shown_by
+from eqsim.engine.records import ProgrammeTrajectory, Trajectory
 from eqsim.engine.sample import rough_stretch, square_of, typical_lives
 from eqsim.engine.scatter import Births, Scatter
 from eqsim.engine.slider_runs import pulled

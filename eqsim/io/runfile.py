@@ -11,7 +11,7 @@ import json
 import math
 import tomllib
 import typing
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -39,13 +39,11 @@ from eqsim.io.units import (
     Quantity,
     Row,
     Units,
-    number_and_unit,
     over_contacts,
     quantities,
     rows_of,
 )
 from eqsim.laws.aging import RULES, Aging
-from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.delay import Delay
 from eqsim.laws.named import law_of, threshold_parameters
 from eqsim.laws.newborn import LAWS, Newborn
@@ -66,8 +64,6 @@ from eqsim.model.ensemble import Disorder, Ensemble, Population
 from eqsim.results import Listed
 
 Section = TypeVar("Section")
-_IDLE_B = 1e10  # k x_*^2/(2 kT) above which heat changes friction by less than 1e-8
-_LARGEST_MU = 5.0  # friction coefficient above which units were probably mixed
 _LONGEST = 10_000_000  # characters of a run file
 # Keys whose text may be any word, also "Infinity".
 _FREE_TEXT = ("title", "file", "column")
@@ -112,8 +108,6 @@ class RunFile(Listed):
     unlisted: ClassVar[tuple[str, ...]] = (
         *("constant", "constant_drive", "headline", "labels"),
         *(
-            "doubts",
-            "machine",
             "physical",
             "preferred",
             "pulled",
@@ -417,47 +411,6 @@ class RunFile(Listed):
         "physical", if any is known."""
         found = {one.name: one.as_dict(friction, reference) for one in self.quantities}
         return {"physical": found} if found else {}
-
-    def machine(self, stiffness: float) -> str:
-        """The stiffness K of a machine of this kappa_s = K/(N k), in the unit in which
-        that of the stage is given, or as the force on all contacts; "" if neither is
-        known."""
-        stage = self["drive.stage"] or {}
-        if text := stage.get("machine_stiffness"):
-            number, unit = number_and_unit(text)
-            assert number is not None
-            return f"{number * stiffness / stage['stiffness']:.5g}{unit}"
-        unit = self.units.label(catalogue.dimension("force/length"))
-        forces = (one for one in self.quantities if one.name == "force")
-        return next((f"{one.factor * stiffness:.5g} {unit}" for one in forces), "")
-
-    def doubts(self) -> Iterator[str]:
-        """Say what was assumed for a surface whose units or interface are given, and
-        warn of heat that is idle and a friction coefficient that is too large."""
-        if not self.units and not self.interface:
-            return
-        thermal, kinds = self.ensemble.thermal, self["population"]
-        assumed = ["contacts.count"]
-        assumed += [] if kinds else ["contacts.stiffness"]
-        by_force = BARRIERS[thermal.barrier].by_force
-        if thermal.active and not by_force and not kinds:
-            assumed.append("thermal.attempt_frequency")
-        said = []
-        for key in assumed:
-            section, name = key.split(".")
-            unit = self.units.label(catalogue.KEYS[key].dimension)
-            if name not in self.given.get(section, {}):
-                said.append(f"{key} = {self[key]:,g} {unit}".replace(",", " ").strip())
-        if said:
-            yield f"not given, and assumed: {', '.join(said)}"
-        b, mean = self.ensemble.b, self.ensemble.thresholds.mean
-        if thermal.active and not by_force and b > _IDLE_B:
-            yield f"b = {b:.3g}: heat does next to nothing, friction is that of T = 0"
-        for one in self.quantities:
-            mu = one.factor * 0.5 * mean
-            if one.symbol == "mu" and mu > _LARGEST_MU:
-                units = "are stiffness, thresholds, count and load in the same units?"
-                yield f"friction coefficients are about {mu:.3g}: {units}"
 
     def headline(self, name: str) -> str:
         """The title of a table, or `name` without one, and what is simulated."""

@@ -11,13 +11,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 from eqsim.engine.elastic import elastic_trajectory
-from eqsim.engine.records import (
-    Forces,
-    SegmentRecord,
-    SliderTrajectory,
-    observed,
-    shown_by,
-)
+from eqsim.engine.readings import Forces, shown_by
+from eqsim.engine.records import SegmentRecord, SliderTrajectory, observed
 from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError, require_number

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from eqsim.engine.records import Forces, Trajectory, extreme
+from eqsim.engine.readings import Forces, extreme
+from eqsim.engine.records import Trajectory
 from eqsim.estimate import Estimate, known
 from eqsim.master.peak import PEAK_WINDOW, Peak, tip, top_of, vertex
 from eqsim.model.drive import Drive

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 
 from eqsim.engine.breaks import Breaks, breaks, check_breaks
+from eqsim.engine.readings import Forces, shown_by
 from eqsim.engine.records import (
-    Forces,
     ProgrammeTrajectory,
     SegmentRecord,
     SliderTrajectory,
     Trajectory,
     observed,
-    shown_by,
 )
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory

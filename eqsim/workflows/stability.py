@@ -11,6 +11,7 @@ import numpy as np
 from eqsim.estimate import Estimate, known
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile
+from eqsim.io.surface import machine_stiffness
 from eqsim.lazy import lazily
 from eqsim.master import stability as solver
 from eqsim.master.stability import Stability
@@ -64,12 +65,16 @@ class StabilityResult(FileResult):
 
     def rows(self) -> Iterator[tuple[str, ...]]:
         """The run's stiffness, its first slip, and steady sliding."""
-        found, fresh, unit = self.stability, self.stability.fresh, self.file.machine(1)
+        found, fresh, unit = (
+            self.stability,
+            self.stability.fresh,
+            machine_stiffness(self.file, 1),
+        )
         machine = ("K",) * bool(unit)
         yield "", "value", *machine, "meaning"
 
         def of(kappa: float | None) -> tuple[str, ...]:
-            return (self.file.machine(kappa) if kappa else "",) * bool(unit)
+            return (machine_stiffness(self.file, kappa) if kappa else "",) * bool(unit)
 
         said = "kappa_s = K/(N k) of this run"
         yield "stiffness", f"{found.stiffness:.6g}", *of(found.stiffness), said
@@ -115,7 +120,7 @@ class StabilityResult(FileResult):
 
     def _machine(self, stiffness: float) -> str:
         """A stiffness in the unit of the machine, else as kappa_s."""
-        return self.file.machine(stiffness) or f"kappa_s = {stiffness:.4g}"
+        return machine_stiffness(self.file, stiffness) or f"kappa_s = {stiffness:.4g}"
 
     def notes(self) -> Iterator[str]:
         found = self.stability

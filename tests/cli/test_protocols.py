@@ -10,7 +10,8 @@ from command_line import call
 from scipy import signal
 
 from eqsim import Programme, Segment, Thermal, load
-from eqsim.engine.records import Forces, extreme, observed, shown_by, velocity_step
+from eqsim.engine.readings import Forces, extreme, shown_by, velocity_step
+from eqsim.engine.records import observed
 from eqsim.estimate import z_score
 from eqsim.master.transient import transient
 from eqsim.model.ensemble import Ensemble

@@ -10,7 +10,8 @@ import pytest
 from command_line import call
 
 from eqsim import Delay, Ensemble, Programme, Segment, Stage, trajectory
-from eqsim.engine.records import _mean_over, slips_of
+from eqsim.engine.readings import slips_of
+from eqsim.engine.records import _mean_over
 from eqsim.errors import InputError
 from eqsim.io.runfile import check
 

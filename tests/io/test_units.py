@@ -14,6 +14,7 @@ from eqsim.catalogue import Dimension
 from eqsim.errors import InputError
 from eqsim.fitting.report import to_toml
 from eqsim.io.runfile import at, parameters
+from eqsim.io.surface import doubts, machine_stiffness
 from eqsim.io.units import Interface, Units, quantities
 
 RUNS = Path(__file__).parents[2] / "runs"
@@ -344,8 +345,8 @@ def test_a_machine_in_its_own_units(name, run_file):
         found = getattr(file.drive.stage, field)
         assert found == pytest.approx(expected, rel=1e-12, abs=0), given
     if field == "stiffness":
-        assert file.machine(0.1) == "0.04/nm"
-    assert load(run_file).machine(0.1) == "80 nN/nm"
+        assert machine_stiffness(file, 0.1) == "0.04/nm"
+    assert machine_stiffness(load(run_file), 0.1) == "80 nN/nm"
     swept = at(file, {f"drive.stage.{field}": 0.2})
     assert getattr(swept.drive.stage, field) == 0.2
     for change, said in (
@@ -365,14 +366,12 @@ def test_a_machine_in_its_own_units(name, run_file):
 def test_what_is_assumed_of_a_surface_is_said(run_file):
     """What a file in units leaves out, heat that is idle, a friction coefficient of 33;
     nothing of a file that says all, or without units."""
-    assert not list(load(run_file).doubts())
+    assert not list(doubts(load(run_file)))
     for key in ("count = 2000\n", "stiffness = 0.4\n", "attempt_frequency = 1e9\n"):
         RUN_ = run_file.read_text().replace(key, "")
         run_file.write_text(RUN_)
-    assumed, heat, mu = load(
-        run_file,
-        {"interface.normal_load": 1e6, "thermal.temperature": 1e-9},
-    ).doubts()
+    changes = {"interface.normal_load": 1e6, "thermal.temperature": 1e-9}
+    assumed, heat, mu = doubts(load(run_file, changes))
     assert assumed == (
         "not given, and assumed: contacts.count = 100 000, contacts.stiffness = 1 nN/nm, "
         "thermal.attempt_frequency = 1 1/s"
@@ -382,4 +381,4 @@ def test_what_is_assumed_of_a_surface_is_said(run_file):
     assert "friction coefficients are about 33.2: are stiffness" in mu
     plain = RUN_[RUN_.index("[contacts]") :].replace("temperature = 300.0", "kT = 0.1")
     run_file.write_text(plain)
-    assert not list(load(run_file).doubts())
+    assert not list(doubts(load(run_file)))
