@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -117,7 +118,8 @@ def fit(
         other = runfile.load(options.compare)
     with shown.bar("fitting", "fits") as progress:
         how: dict[str, Any] = {"allow_degenerate": options.allow_degenerate}
-        how |= {"workers": count, "keep": out, "progress": progress}
+        how |= {"workers": count, "progress": progress}
+        how["keep"] = fitting.Keep(out, partial(_tell_estimates, out, shown))
         found = fitting.fit(file, data=options.data, starts=options.starts, **how)
         rival = None
         if other is not None:
@@ -150,6 +152,17 @@ def fit(
     )
     if found.rejected or not found.converged:
         raise Exit(1)
+
+
+def _tell_estimates(out: Path, shown: Shown, result: "fitting.FitResult") -> None:
+    """Write the estimates, and, before any profile tells intervals, say them."""
+    report.write_estimates(result, out)
+    if result.profiles:
+        return
+    for one in result.intervals:
+        shown.note(f"{one.key} = {one.estimate:.4g} ({one.transform}: sd {one.sd:.2g})")
+    shown.note(report.quality("this model", result.goodness))
+    shown.note(f"{out}/fit.json has these; intervals come with the profiles")
 
 
 def _show_data(

@@ -95,7 +95,7 @@ class Shown:
     def note(self, line: str) -> None:
         """Print a line about progress, where a bar would be shown."""
         if not (self.quiet or self.json):
-            print(line)
+            print(line, flush=True)
 
     def doubt(self, file: "runfile.RunFile", drive: Any = None) -> None:
         """Warn on standard error about numbers whose units were probably mixed, and what

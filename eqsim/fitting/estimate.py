@@ -2,7 +2,7 @@
 
 import math
 import pickle
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +22,16 @@ from eqsim.numerics.tables import Array
 DEGENERATE = 1e-7
 # Minima whose chi-square differs by less are taken for the same one.
 SAME_MINIMUM = 0.1
-# Relative changes of chi-square, parameters and gradient at which a search ends.
-_SEARCH_TOLERANCE = 1e-8
+# Fall of chi-square that Gauss-Newton steps of `refine` still take, the share of it that
+# a step has to bring, and the most solves before a search with a trust region.
+_REFINED_GAIN = 5e-3
+_LEAST_GAIN = 0.2
+# Least damping: a step beyond a factor 20 in a parameter costs as much as a rise of 1.
+_DAMPING = 0.1
+_MOST_REFINED = 80
+
+# `map`, or that of threads.
+Each = Callable[..., Iterable[Any]]
 
 
 class Minimum(NamedTuple):
@@ -36,51 +44,108 @@ class Minimum(NamedTuple):
     solves: int
 
 
-def minimise(problem: Problem, u: Array, held: int = -1) -> Minimum:
-    """Least squares from `u`, with the parameter of index `held` fixed; linear ones need
-    no start."""
-    searched = np.flatnonzero(~problem.linear & (np.arange(u.size) != held))
-    low, high = problem.low[searched], problem.high[searched]
-    known: dict[bytes, Array] = {}  # SciPy asks for some points twice
+class _Search:
+    """Residuals as a function of the parameters that are searched: all but the linear
+    ones, which need no start, and that of index `held`."""
 
-    def residuals(x: Array) -> Array:
-        if x.tobytes() not in known:
-            full = u.copy()
-            full[searched] = x
-            known[x.tobytes()] = problem.residuals(full, held)
-        return known[x.tobytes()]
+    def __init__(self, problem: Problem, u: Array, held: int, each: Each = map) -> None:
+        self.problem, self.u, self.held, self.each = problem, u, held, each
+        self.index = searched(problem, held)
+        self.low, self.high = problem.low[self.index], problem.high[self.index]
+        # all parameters and residuals; SciPy asks for some points twice
+        self.known: dict[bytes, tuple[Array, Array]] = {}
 
-    def jacobian(x: Array) -> Array:
-        columns = []
+    def solved(self, x: Array) -> tuple[Array, Array]:
+        """All parameters, the linear ones at their best, and residuals."""
+        if x.tobytes() not in self.known:
+            full = self.u.copy()
+            full[self.index] = x
+            self.known[x.tobytes()] = self.problem.deviations(full, self.held)
+        return self.known[x.tobytes()]
+
+    def residuals(self, x: Array) -> Array:
+        return self.solved(x)[1]
+
+    def jacobian(self, x: Array) -> Array:
+        """Derivatives of residuals by finite differences."""
+        step, pairs = self.problem.step, []
         for i, value in enumerate(x):
-            step = problem.step if value + problem.step <= high[i] else -problem.step
+            signed = step if value + step <= self.high[i] else -step
             moved, other = x.copy(), x.copy()
-            moved[i] += step
-            if problem.central:
-                other[i] = min(max(value - step, low[i]), high[i])
-            change = residuals(moved) - residuals(other)
-            columns.append(change / (moved[i] - other[i]))
-        return np.array(columns).T
+            moved[i] += signed
+            if self.problem.central:
+                other[i] = min(max(value - signed, self.low[i]), self.high[i])
+            pairs.append((moved, other))
+        ends = self.each(self.residuals, [point for pair in pairs for point in pair])
+        r = np.array(list(ends)).reshape(len(pairs), 2, -1)
+        width = [moved[i] - other[i] for i, (moved, other) in enumerate(pairs)]
+        return ((r[:, 0] - r[:, 1]) / np.array(width)[:, None]).T
 
-    if not searched.size:
-        r = residuals(u[searched])
-        return Minimum(problem.solved(u, held).u, float(r @ r), True, 1)
+    def minimum(self, x: Array, converged: bool) -> Minimum:
+        """The end of a search at `x`."""
+        full, r = self.solved(x)
+        chi2 = float(r @ r)
+        good = converged and chi2 <= 0.9 * REFUSED**2
+        return Minimum(full, chi2, good, len(self.known))
+
+
+def searched(problem: Problem, held: int = -1) -> Array:
+    """Indices of the parameters that a search changes."""
+    kept = np.arange(len(problem.parameters)) != held
+    return np.flatnonzero(~problem.linear & kept)
+
+
+def minimise(problem: Problem, u: Array, held: int = -1, each: Each = map) -> Minimum:
+    """Least squares from `u`, with the parameter of index `held` fixed; linear ones need
+    no start. `each` maps a function over the points of a derivative."""
+    search = _Search(problem, u, held, each)
+    x, low, high = u[search.index], search.low, search.high
+    if not x.size:
+        return search.minimum(x, True)
     inset = 1e-9 * (high - low)
     least = optimize.least_squares(
-        residuals,
-        np.clip(u[searched], low + inset, high - inset),
-        jacobian,
+        search.residuals,
+        np.clip(x, low + inset, high - inset),
+        search.jacobian,
         (low, high),
-        **dict.fromkeys(("ftol", "xtol", "gtol"), _SEARCH_TOLERANCE),
+        **dict.fromkeys(("ftol", "xtol", "gtol"), problem.tolerance),
         max_nfev=200,
     )
-    full = u.copy()
-    full[searched] = least.x
-    chi2 = 2.0 * float(least.cost)
-    refused = chi2 > 0.9 * REFUSED**2
-    if not refused:
-        full = problem.solved(full, held).u
-    return Minimum(full, chi2, least.status > 0 and not refused, len(known))
+    return search.minimum(least.x, least.status > 0)
+
+
+def refine(
+    problem: Problem, u: Array, held: int, slopes: Array
+) -> tuple[Minimum, Array]:
+    """Least squares from a guess near the minimum, by steps of Levenberg and Marquardt
+    with derivatives `slopes` from nearby, shape (measurements + priors, searched), which
+    each step improves (Broyden, 1965). Where they lead astray steps become shorter, and
+    they are found anew. Returns the minimum, and derivatives for the next guess."""
+    search, fresh, damping, failed = _Search(problem, u, held), False, _DAMPING, 0
+    x, unit = u[search.index], np.minimum(search.high - search.low, 1.0)
+    converged = not x.size
+    while len(search.known) < _MOST_REFINED and not converged:
+        r = search.residuals(x)
+        damped = np.vstack((slopes, np.diag(math.sqrt(damping) / unit)))
+        target = np.append(-r, np.zeros(x.size))
+        bounds = search.low - x, search.high - x
+        step = optimize.lsq_linear(damped, target, bounds, method="bvls").x
+        change = slopes @ step
+        gain = float(r @ r - (r + change) @ (r + change))
+        if gain < _REFINED_GAIN:
+            converged = True
+            break
+        moved = np.clip(x + step, search.low, search.high)
+        new = search.residuals(moved)
+        if r @ r - new @ new > _LEAST_GAIN * gain:
+            slopes = slopes + np.outer(new - r - change, step) / (step @ step)
+            x, fresh, failed = moved, False, 0
+            damping = max(0.2 * damping, _DAMPING)
+        elif failed and not fresh:
+            slopes, fresh = search.jacobian(x), True
+        else:
+            damping, failed = 10.0 * damping, failed + 1
+    return search.minimum(x, converged), slopes
 
 
 def starts(problem: Problem, count: int, seed: int) -> list[Array]:
@@ -128,44 +193,47 @@ def _refusal(problem: Problem, u: Array) -> InputError | None:
 class Tasks:
     """Independent tasks, computed by an executor, or one after the other by this
     process. A `folder` keeps their results, by name and number, so that a computation
-    that was stopped can go on."""
+    that was stopped can go on. `threads`: of a search that is alone."""
 
     executor: Executor | None = None
     folder: Path | None = None
+    threads: int = 1
 
     def results(
         self,
         name: str,
         function: Callable[..., Any],
         tasks: Sequence[tuple[Any, ...]],
-        done: Callable[[], None] = lambda: None,
+        done: Callable[[int, Any], None] = lambda index, result: None,
     ) -> list[Any]:
         """Results in the order of the tasks; those that are kept are not computed again.
-        Raises InputError if one cannot be kept."""
-        files = [f"{name}-{index}.pickle" for index in range(len(tasks))]
-        found, missing = dict[str, Any](), dict[str, tuple[Any, ...]]()
-        for file, task in zip(files, tasks, strict=True):
+        `done(index, result)` is called for each when it is there. Raises InputError if
+        one cannot be kept."""
+        found, missing = dict[int, Any](), dict[int, tuple[Any, ...]]()
+        for index, task in enumerate(tasks):
+            file = f"{name}-{index}.pickle"
             if self.folder is not None and (self.folder / file).is_file():
-                found[file] = pickle.loads((self.folder / file).read_bytes())
-                done()
+                found[index] = pickle.loads((self.folder / file).read_bytes())
+                done(index, found[index])
             else:
-                missing[file] = task
-        for file, result in self._computed(function, missing):
-            found[file] = result
+                missing[index] = task
+        for index, result in self._computed(function, missing):
+            found[index] = result
             if self.folder is not None:
+                file = f"{name}-{index}.pickle"
                 publish(self.folder, {file: pickle.dumps(result)})
-            done()
-        return [found[file] for file in files]
+            done(index, result)
+        return [found[index] for index in range(len(tasks))]
 
     def _computed(
-        self, function: Callable[..., Any], tasks: dict[str, tuple[Any, ...]]
-    ) -> Iterator[tuple[str, Any]]:
-        """Results by name, as they are finished."""
+        self, function: Callable[..., Any], tasks: dict[int, tuple[Any, ...]]
+    ) -> Iterator[tuple[int, Any]]:
+        """Results by number, as they are finished."""
         if self.executor is None:
-            yield from ((name, function(*task)) for name, task in tasks.items())
+            yield from ((index, function(*task)) for index, task in tasks.items())
             return
         submit = self.executor.submit
-        futures = {submit(function, *task): name for name, task in tasks.items()}
+        futures = {submit(function, *task): index for index, task in tasks.items()}
         for future in as_completed(futures):
             yield futures[future], future.result()
 

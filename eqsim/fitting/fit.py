@@ -6,7 +6,7 @@ import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +20,7 @@ from eqsim.fitting.estimate import DEGENERATE, Direction, Minimum, Tasks
 from eqsim.fitting.model import (
     DERIVATIVE_STEP,
     STUDENT,
+    TOLERANCE,
     Forward,
     Problem,
     SteadyForward,
@@ -30,6 +31,7 @@ from eqsim.io import storage
 from eqsim.io.runfile import RunFile, at, opened, path_of
 from eqsim.laws.barrier import BARRIERS
 from eqsim.numerics.tables import Array
+from eqsim.numerics.threads import ThreadPool
 from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps.workers import Workers
 
@@ -48,6 +50,9 @@ _MOST_FITS = 3
 _WHITENED = 2
 # Seconds after which results of a fit that was stopped are removed: 30 days.
 _FORGOTTEN_SECONDS = 30 * 86400.0
+
+# Status of a key whose profile has not been followed yet.
+NOT_PROFILED = "profile to come"
 
 Progress = Callable[[int, float], None]
 
@@ -94,7 +99,7 @@ class FitResult:
     minima : list of Minimum
         One for each start.
     profiles : dict
-        The two sides of each key's profile.
+        The two sides of each key's profile, as far as they have been followed.
     noticed : list of str
         Warnings from before the fit.
     correlation : Correlation or None
@@ -156,7 +161,7 @@ class FitResult:
         """Estimate, intervals and status of each free key, and of scales."""
         sd, parameters = np.sqrt(np.diag(self.covariance)), self.problem.parameters
         return [
-            interval_of(one, self.values[one.key], error, self.profiles[one.key])
+            interval_of(one, self.values[one.key], error, self.profiles.get(one.key))
             for one, error in zip(parameters, sd.tolist(), strict=True)
         ]
 
@@ -164,8 +169,10 @@ class FitResult:
     def derived(self) -> dict[str, float]:
         """Groups of the best fit: F0 = N k x_* (scale times x_*), v0 = omega x_*, b, v_* of
         annealed contacts, and where the section gives an area or a normal stress, contacts
-        per area and their spacing."""
+        per area and their spacing; nothing of several populations."""
         ensemble = at(self.file, self.changes).ensemble
+        if ensemble.populations:
+            return {}
         thermal, unit = ensemble.thermal, ensemble.thresholds.scale
         scales, scale = self.fit.scales(self.table.sets)
         if scales:
@@ -206,7 +213,7 @@ class FitResult:
                         f"{one.key} is at its bound {float(one.value(bound)):g}: "
                         "values and intervals of the other keys depend on this bound"
                     )
-            ends = [side.ends["95"] for side in self.profiles[one.key]]
+            ends = [side.ends["95"] for side in self.profiles.get(one.key, ())]
             nearest = min((abs(u - x) for u in ends if u is not None), default=math.inf)
             # at a bound a covariance says nothing
             if one.low < x < one.high and nearest < _ROUGH_WIDTH * error:
@@ -268,9 +275,12 @@ class FitResult:
 
 
 def interval_of(
-    one: Parameter, best: float, sd: float, sides: list[profiles.Side]
+    one: Parameter, best: float, sd: float, sides: list[profiles.Side] | None
 ) -> Interval:
-    """The result for a parameter, from the two sides of its profile."""
+    """The result for a parameter, from the two sides of its profile, if these are
+    known."""
+    if sides is None:
+        return Interval(one.key, best, one.transform, sd, {}, NOT_PROFILED)
     ends = {
         name: tuple(one.value_or_none(side.ends[name]) for side in sides)
         for name in profiles.LEVELS
@@ -278,6 +288,18 @@ def interval_of(
     low, high = sides
     status = profiles.status(low, high, one.transform)
     return Interval(one.key, best, one.transform, sd, ends, status)
+
+
+Estimated = Callable[[FitResult], None]
+
+
+class Keep(NamedTuple):
+    """Folder for results of a fit that may be stopped; and `estimated(result)`, called as
+    soon as there are estimates, before profiles, and when those of a key are there.
+    Intervals of the other keys are empty till then."""
+
+    folder: Path
+    estimated: Estimated = lambda result: None
 
 
 class Prepared(NamedTuple):
@@ -301,8 +323,10 @@ def prepare(
     section = section_of(file)
     free = parameters_of(file, section)
     table = measured(file, section, data, progress)
-    if file.ensemble.populations:
-        raise InputError("population: not allowed with [fit]")
+    pulled = table.time is not None and record.programme_of(file).pulled
+    if file.ensemble.populations and pulled:
+        said = "not allowed with fit.record behind drive.stage, whose mean field is of"
+        raise InputError(f"population: {said} contacts of one kind")
     scales, _ = section.scales(table.sets)
     if scales and not {"friction", "force_std"} & set(table.observable):
         raise InputError("fit.scale: no force was measured; give a fixed scale = 1.0")
@@ -379,6 +403,7 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
         nuisance=nuisance,
         loss=section.loss,
         step=DERIVATIVE_STEP if table.time is None else record.STEP_CHOSEN,
+        tolerance=TOLERANCE if table.time is None else record.TOLERANCE,
     )
 
 
@@ -409,7 +434,7 @@ def fit(
     starts: int = 8,
     allow_degenerate: bool = False,
     workers: int = 1,
-    keep: Path | None = None,
+    keep: Path | Keep | None = None,
     progress: Progress = lambda done, total: None,
 ) -> FitResult:
     """Fit free keys of a run file to measurements.
@@ -429,9 +454,10 @@ def fit(
         True to go on where the data cannot separate free keys.
     workers : int
         Processes; they change speed, never a number.
-    keep : Path, optional
+    keep : Path or Keep, optional
         A folder for finished least-squares fits: the same fit, if it was stopped, goes
-        on from these within 30 days, and removes them when it is finished.
+        on from these within 30 days, and removes them when it is finished. `Keep` is
+        also told the estimates, before profiles.
     progress : callable, optional
         `progress(done, total)` counts least-squares fits.
 
@@ -465,11 +491,14 @@ def fit(
     estimate.check_starts(prepared.problem, every)
     prepared.warnings.extend(_singular(prepared.problem, allow_degenerate))
     unfinished = None
+    if isinstance(keep, str | Path):
+        keep = Keep(Path(keep))
     if keep is not None:
-        unfinished = _unfinished_folder(Path(keep), file, prepared, every)
+        unfinished = _unfinished_folder(keep.folder, file, prepared, every)
     with Workers(workers).executor() as executor:
-        tasks = Tasks(executor, unfinished)
-        result = fit_prepared(prepared, every, tasks, progress)
+        tasks = Tasks(executor, unfinished, workers)
+        told = (lambda result: None) if keep is None else keep.estimated
+        result = fit_prepared(prepared, every, tasks, progress, told)
         if unfinished is not None:
             shutil.rmtree(unfinished, ignore_errors=True)
         return result
@@ -505,56 +534,116 @@ def _singular(problem: Problem, allowed: bool) -> list[str]:
     return [f"at the start these data do not separate {rung.name}" for rung in lost]
 
 
-def _search(problem: Problem) -> Callable[[Problem, Array], Minimum]:
+def _search(problem: Problem) -> Callable[..., Minimum]:
     """The function that searches from one start, for a table or for a record."""
     of_record = isinstance(problem.forward, RecordForward)
     return record.search_record if of_record else estimate.minimise
 
 
 def fit_prepared(
-    prepared: Prepared, every: list[Array], tasks: Tasks, progress: Progress
+    prepared: Prepared,
+    every: list[Array],
+    tasks: Tasks,
+    progress: Progress,
+    estimated: Estimated = lambda result: None,
 ) -> FitResult:
     """Least squares from every start, and profiles about the best fit; where a profile
-    finds a better one, least squares again from there."""
-    file, section, table, problem, warnings = prepared
-    number = len(problem.parameters)
+    finds a better one, least squares again from there. `estimated` as in `Keep`."""
+    number = len(prepared.problem.parameters)
     total, done = len(every) + 2 * number, 0
 
-    def count() -> None:
+    def count(*_: Any) -> None:
         nonlocal done
         done += 1
         progress(done, total)
 
     progress(0, total)
-    begin = [(problem, u) for u in every]
-    minima = tasks.results("start", _search(problem), begin, count)
-    best, correlation = min(minima, key=lambda one: one.chi2), None
-    alone = replace(tasks, executor=None)
-    for again in range(_WHITENED if table.time is not None else 0):
-        assert table.time is not None
-        problem, correlation = record.correlated(problem, best.u, table.time)
-        begin = [(problem, best.u)]
-        (best,) = alone.results(f"white{again}", estimate.minimise, begin)
+    result = _estimates(prepared, every, tasks, count)
     for again in range(_MOST_FITS):
-        jacobian = problem.jacobian(best.u)
-        sd = np.sqrt(np.diag(estimate.covariance(jacobian))).tolist()
-        ways = [(i, sign) for i in range(number) for sign in (-1, 1)]
-        sought = [(problem, best, i, sign, sd[i]) for i, sign in ways]
-        done = len(every)
-        sides = tasks.results(f"side{again}", profiles.side, sought, count)
-        lower = [one.points[np.argmin(one.rise)] for one in sides if one.better]
+        problem, done = result.problem, len(every)
+        result = replace(result, jacobian=problem.jacobian(result.best.u), profiles={})
+        estimated(result)
+        result = _profiled(result, tasks, f"side{again}", count, estimated)
+        sides = [side for pair in result.profiles.values() for side in pair]
+        lower = [side.points[np.argmin(side.rise)] for side in sides if side.better]
         if not lower:
             break
         if again + 1 == _MOST_FITS:  # `best` stays what its intervals are about
             said = "profiles go on to find better fits: intervals are not reliable"
-            warnings = [*warnings, said]
-            break
+            return replace(result, noticed=[*result.noticed, said])
         begin = [(problem, u) for u in lower]
         better = tasks.results(f"better{again}", estimate.minimise, begin)
-        best = min([best, *better], key=lambda one: one.chi2)
-    pairs = {key: sides[2 * i :][:2] for i, key in enumerate(problem.keys)}
-    known = file, section, problem, table, best, jacobian, minima, pairs, warnings
-    return FitResult(*known, correlation)
+        best = min([result.best, *better], key=lambda one: one.chi2)
+        result = replace(result, best=best)
+    return result
+
+
+def _profiled(
+    result: FitResult,
+    tasks: Tasks,
+    name: str,
+    count: Callable[[], None],
+    estimated: Estimated,
+) -> FitResult:
+    """Follow the profiles of all parameters, and report each that is complete."""
+    problem, sides = result.problem, dict[int, profiles.Side]()
+
+    def known() -> FitResult:
+        pairs = {
+            key: [sides[2 * i], sides[2 * i + 1]]
+            for i, key in enumerate(problem.keys)
+            if {2 * i, 2 * i + 1} <= sides.keys()
+        }
+        return replace(result, profiles=pairs)
+
+    def keep(index: int, side: profiles.Side) -> None:
+        sides[index] = side
+        count()
+        better = any(one.better for one in sides.values())
+        if index ^ 1 in sides and not better:
+            estimated(known())
+
+    numbers = range(len(problem.parameters))
+    ways = [(i, sign, result.jacobian) for i in numbers for sign in (-1, 1)]
+    sought = [(problem, result.best, *way) for way in ways]
+    tasks.results(name, profiles.side, sought, keep)
+    return known()
+
+
+def _estimates(
+    prepared: Prepared, every: list[Array], tasks: Tasks, count: Callable[..., None]
+) -> FitResult:
+    """Least squares from every start, and, of a record, again with errors of the
+    correlation that residuals show. A search that is alone takes threads."""
+    file, section, table, problem, warnings = prepared
+    alone, begin = replace(tasks, executor=None), [(problem, u) for u in every]
+    with ThreadPool(tasks.threads) as threads:
+        each = threads.map if tasks.threads > 1 else map
+        search: Callable[..., Minimum] = partial(_search(problem), each=each)
+        if len(every) > 1:
+            minima = tasks.results("start", _search(problem), begin, count)
+        else:
+            minima = alone.results("start", search, begin, count)
+        best, correlation = min(minima, key=lambda one: one.chi2), None
+        for again in range(_WHITENED if table.time is not None else 0):
+            assert table.time is not None
+            found = partial(record.correlated, t=table.time, each=each)
+            begin = [(problem, best.u)]
+            ((problem, correlation),) = alone.results(f"errors{again}", found, begin)
+            search = partial(estimate.minimise, each=each)
+            (best,) = alone.results(f"white{again}", search, [(problem, best.u)])
+    return FitResult(
+        file=file,
+        fit=section,
+        problem=problem,
+        table=table,
+        best=best,
+        jacobian=np.empty((0, len(problem.parameters))),
+        minima=minima,
+        profiles={},
+        noticed=warnings,
+        correlation=correlation,
+    )
 
 
 def goodness(problem: Problem, u: Array) -> Goodness:

@@ -20,7 +20,7 @@ from eqsim.errors import InputError
 from eqsim.estimate import known
 from eqsim.fitting.data import MeasuredAt
 from eqsim.fitting.section import Parameter
-from eqsim.io.runfile import RunFile, at
+from eqsim.io.runfile import RunFile, at, keys
 from eqsim.master.peak import first_peak
 from eqsim.master.steady import curve
 from eqsim.master.transient import transient
@@ -30,10 +30,14 @@ from eqsim.numerics.tables import Array
 
 # Step of derivatives, in the variables of parameters.
 DERIVATIVE_STEP = 1e-4
+# Relative changes of chi-square, parameters and gradient at which a search ends.
+TOLERANCE = 1e-8
 # Degrees of freedom of the robust loss.
 STUDENT = 4.0
 # Residual where the reference refuses.
 REFUSED = 1e4
+# Contacts of which the shares of populations are not rounded.
+MANY = 10**12
 # Observables of `Curve`.
 AVERAGES = ("friction", "pinned", "break_stretch")
 
@@ -41,6 +45,13 @@ AVERAGES = ("friction", "pinned", "break_stretch")
 def velocity_of(row: MeasuredAt) -> float | None:
     """The velocity of a row of a table; None if it leaves that to the run file."""
     return dict(row.changes).get("drive.velocity")
+
+
+def changed(file: RunFile, changes: dict[str, float]) -> RunFile:
+    """The run file with these values. Shares of populations are as given, not those of
+    a whole number of contacts."""
+    many = {"contacts.count": MANY} if file["population"] else {}
+    return at(file, {**changes, **many})
 
 
 class Forward(Protocol):
@@ -78,9 +89,10 @@ class SteadyForward:
         over k, at unit scale."""
         predicted = np.empty((len(self.rows), 2))
         for (rest, heat), members in self.groups.items():
-            file = at(self.file, {**changes, **dict(rest)})
+            file = changed(self.file, {**changes, **dict(rest)})
             if heat != 1.0:
-                file = at(file, {"thermal.kT": file["thermal.kT"] * heat})
+                kT = [key for key in keys(file) if key.endswith("thermal.kT")]
+                file = at(file, {key: file[key] * heat for key in kT})
             given = [velocity_of(self.rows[index]) for index in members]
             v = [file["drive.velocity"] if one is None else one for one in given]
             if None in v:
@@ -156,6 +168,8 @@ class Problem:
     # from the data.
     step: float = DERIVATIVE_STEP
     central: bool = False
+    # Relative changes of chi-square, parameters and gradient at which a search ends.
+    tolerance: float = TOLERANCE
 
     @cached_property
     def keys(self) -> list[str]:
@@ -243,14 +257,19 @@ class Problem:
                 u[i] = min(max(one.variable(float(x)), one.low), one.high)
         return Solved(u, self._combined(raw, values), error * self._factor(values))
 
-    def residuals(self, u: Array, held: int = -1) -> Array:
-        """Numbers whose sum of squares is -2 ln L plus a constant, priors included;
-        large where the reference refuses."""
+    def deviations(self, u: Array, held: int = -1) -> tuple[Array, Array]:
+        """Parameters with the linear ones at their best, except that of index `held`, and
+        their residuals: numbers whose sum of squares is -2 ln L plus a constant, priors
+        included; large where the reference refuses."""
         try:
             u, predicted, _ = self.solved(u, held)
         except InputError:
-            return np.full(self.value.size + self.priors, REFUSED)
-        return self._deviates(u, predicted)
+            return u, np.full(self.value.size + self.priors, REFUSED)
+        return u, self._deviates(u, predicted)
+
+    def residuals(self, u: Array, held: int = -1) -> Array:
+        """The residuals of `deviations`."""
+        return self.deviations(u, held)[1]
 
     def whitened(self, predicted: Array) -> Array:
         """Independent residuals of predictions, in standard errors."""

@@ -7,7 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eqsim.fitting.estimate import Minimum, minimise
+from eqsim.fitting.estimate import (
+    Minimum,
+    covariance,
+    minimise,
+    refine,
+    searched,
+)
 from eqsim.fitting.model import Problem
 from eqsim.numerics.tables import Array
 
@@ -17,9 +23,14 @@ LEVELS = {"68": 0.9889, "95": 3.8415}
 # Half-width of a 68 % interval of a logarithm, a factor 3, beyond which a key is not
 # determined.
 WIDE = 1.1
-# Rise of chi-square that a step aims at, and the most it may be.
-_RISE_AIMED_AT = 1.5
+# Status of a key that the data do not determine.
+UNSURE = ("one-sided", "degenerate")
+# Most that chi-square may rise in a step.
 _LARGEST_RISE = 6.0
+# Share of the root of a level by which a step goes beyond it, and a step over the last
+# one.
+_BEYOND = 0.02
+_LONGER = (0.3, 4.0)
 # Points of a profile before its ends are sought.
 _MOST_POINTS = 40
 # Distance of a point from a level that is close enough, and how many are tried for it.
@@ -41,21 +52,30 @@ class Side(NamedTuple):
 
 class _Point(NamedTuple):
     """A point of a profile: distance of the parameter from its best value, rise of
-    chi-square, and all parameters."""
+    chi-square, all parameters, and derivatives of residuals with respect to those that
+    are searched."""
 
     distance: float
     rise: float
     u: Array
+    slopes: Array
 
 
 class _Profile:
     """Points of a profile, ordered by distance, and how to solve for more."""
 
-    def __init__(self, problem: Problem, best: Minimum, index: int, sign: int) -> None:
+    def __init__(
+        self, problem: Problem, best: Minimum, index: int, sign: int, jacobian: Array
+    ) -> None:
         self.problem, self.best, self.index, self.sign = problem, best, index, sign
         self.bound = problem.high[index] if sign > 0 else problem.low[index]
         self.length = abs(self.bound - best.u[index])
-        self.points = [_Point(0.0, 0.0, best.u)]
+        columns = jacobian[:, searched(problem, index)]
+        linear = problem.linear & (np.arange(best.u.size) != index)
+        if linear.any():  # these follow the others
+            base = jacobian[:, linear]
+            columns = columns - base @ np.linalg.lstsq(base, columns, rcond=None)[0]
+        self.points = [_Point(0.0, 0.0, best.u, columns)]
 
     def solve(self, distance: float) -> _Point:
         """Minimise at a distance, from a guess along the line through the two nearest
@@ -66,22 +86,27 @@ class _Profile:
             other = others[0]
             t = (distance - near.distance) / (other.distance - near.distance)
             guess = near.u + (other.u - near.u) * min(max(t, -2.0), 2.0)
-        reached = self._minimum(guess, distance)
+        there = self._moved(guess, distance)
+        reached, slopes = refine(self.problem, there, self.index, near.slopes)
         astray = reached.chi2 - self.best.chi2 > near.rise + _LARGEST_RISE
         if others and (astray or not reached.converged):
-            plain = self._minimum(near.u, distance)
+            there = self._moved(near.u, distance)
+            plain = minimise(self.problem, there, self.index)
             reached = min(reached, plain, key=lambda one: one.chi2)
-        return _Point(distance, reached.chi2 - self.best.chi2, reached.u)
+        rise = reached.chi2 - self.best.chi2
+        return _Point(distance, rise, reached.u, slopes)
 
-    def _minimum(self, guess: Array, distance: float) -> Minimum:
+    def _moved(self, guess: Array, distance: float) -> Array:
+        """A guess with the parameter at a distance from its best value."""
         u = np.clip(guess, self.problem.low, self.problem.high)
         inside = self.best.u[self.index] + self.sign * distance
         u[self.index] = inside if distance < self.length else self.bound
-        return minimise(self.problem, u, self.index)
+        return u
 
     def follow(self, step: float) -> None:
-        """Add points until chi-square has risen above all levels, the bound is reached
-        or a better fit is found."""
+        """Add points, each a little beyond the next level as the last two tell, until
+        chi-square has risen above all levels, the bound is reached or a better fit is
+        found."""
         while len(self.points) < _MOST_POINTS:
             here = self.points[-1]
             new = self.solve(min(here.distance + step, self.length))
@@ -95,9 +120,12 @@ class _Profile:
                 break
             if new.distance >= self.length:
                 break
-            gained = max(new.rise - here.rise, 1e-3)
-            factor = min(max(math.sqrt(_RISE_AIMED_AT / gained), 0.5), 2.5)
-            step = (new.distance - here.distance) * factor
+            last, gone = math.sqrt(max(new.rise, 0.0)), new.distance - here.distance
+            slope = (last - math.sqrt(max(here.rise, 0.0))) / gone
+            levels = (1.0 + _BEYOND) * np.sqrt(list(LEVELS.values()))
+            ahead = float(min(levels[levels > last])) - last
+            least, most = (factor * gone for factor in _LONGER)
+            step = min(max(ahead / slope, least), most) if slope > 0.0 else most
 
     def end(self, level: float) -> float | None:
         """The variable where the profile first passes a level, by a straight line of
@@ -119,11 +147,14 @@ class _Profile:
         return float(self.best.u[self.index] + self.sign * distance)
 
 
-def side(problem: Problem, best: Minimum, index: int, sign: int, sd: float) -> Side:
+def side(
+    problem: Problem, best: Minimum, index: int, sign: int, jacobian: Array
+) -> Side:
     """Follow the profile of a parameter up (`sign` 1) or down (-1), to the bound or until
-    chi-square has risen enough. The first step is about the standard deviation `sd`."""
-    profile = _Profile(problem, best, index, sign)
-    length = profile.length
+    chi-square has risen enough. The first step is about the standard deviation that
+    the `jacobian` at the best fit gives."""
+    profile = _Profile(problem, best, index, sign, jacobian)
+    length, sd = profile.length, math.sqrt(covariance(jacobian)[index, index])
     if length > 0:
         step = max(sd if math.isfinite(sd) else length, 1e-6 * max(length, 1e-12))
         profile.follow(min(step, 0.25 * length))
@@ -134,7 +165,7 @@ def side(problem: Problem, best: Minimum, index: int, sign: int, sd: float) -> S
 
 
 def status(low: Side, high: Side, transform: str) -> str:
-    """Status of a key: "determined" if the 95 % interval is closed, and that of 68 % of
+    """Status of a key, "determined" or one of UNSURE: "determined" if the 95 % interval is closed, and that of 68 % of
     a logarithm spans a factor 9 at most; "one-sided" if only one end of the 95 %
     interval is known; else "degenerate"."""
     closed = [one.ends["95"] is not None for one in (low, high)]

@@ -21,6 +21,7 @@ from eqsim.errors import (
 )
 from eqsim.fitting import estimate, profiles
 from eqsim.fitting.data import Measurements
+from eqsim.fitting.estimate import Each
 from eqsim.fitting.fit import (
     FitResult,
     Interval,
@@ -79,7 +80,9 @@ class RateAndStateForward(RecordForward):
             raise TooManySteps(str(error)) from None
         return force, np.full(force.size, _SOLVER_ERROR * law.a)
 
-    def corrected(self, changes: dict[str, float]) -> "RateAndStateForward":
+    def corrected(
+        self, changes: dict[str, float], each: Each = map
+    ) -> "RateAndStateForward":
         return self
 
     def settle_steps(self, changes: dict[str, float]) -> "RateAndStateForward":
@@ -267,8 +270,9 @@ def _difference(found: FitResult, key: str) -> Interval:
     u = found.best.u.copy()
     u[index] = one.start
     best = found.best._replace(u=u)
-    sd = np.sqrt(np.diag(estimate.covariance(problem.jacobian(u))))[index]
-    sides = [profiles.side(problem, best, index, sign, sd) for sign in (-1, 1)]
+    jacobian = problem.jacobian(u)
+    sd = np.sqrt(np.diag(estimate.covariance(jacobian)))[index]
+    sides = [profiles.side(problem, best, index, sign, jacobian) for sign in (-1, 1)]
     known = interval_of(one, one.start, float(sd), sides)
     ends = {
         level: tuple(None if end is None else end * unit for end in pair)

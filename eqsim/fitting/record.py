@@ -23,22 +23,26 @@ from scipy import optimize
 
 from eqsim.errors import InputError
 from eqsim.fitting.data import MeasuredAt, Measurements
-from eqsim.fitting.estimate import Minimum, minimise
-from eqsim.fitting.model import Problem
+from eqsim.fitting.estimate import Each, Minimum, minimise
+from eqsim.fitting.model import Problem, changed
 from eqsim.fitting.section import BlockSize, Fit, RecordSection
 from eqsim.io.csv import read
-from eqsim.io.runfile import RunFile, at
+from eqsim.io.runfile import RunFile
 from eqsim.io.series import Blocks, RowErrors, blocks_of, means, read_series
 from eqsim.master.cohorts import NO_CHOICES, Choices
 from eqsim.master.programme import means_along
 from eqsim.master.slider import TooManySteps, choices_of, force_of
 from eqsim.model.drive import Grid, Programme
 from eqsim.model.ensemble import Ensemble
+from eqsim.model.mixture import summed
 from eqsim.numerics.tables import Array
 
 # Steps of derivatives: where solves choose their own time steps, and with given ones.
 STEP_CHOSEN = 2e-2
 _STEP_GIVEN = 1e-3
+# Where a search ends: a record's chi-square is known to about 1, as the error of its
+# correction.
+TOLERANCE = 1e-5
 # Searches at most, each with time steps chosen anew, while chi-square falls by more than
 # this share.
 _MOST_SEARCHES = 6
@@ -219,21 +223,23 @@ class RecordForward:
         """See `Forward`."""
         course = self._course(changes)
         if not course.programme.pulled:
-            means = means_along(course.ensemble, course.programme, course.grid)
+            kinds, drive = course.ensemble.kinds, course[1:3]
+            means = summed(kinds, [means_along(one.contacts, *drive) for one in kinds])
             return means.force[course.points], means.force_error[course.points]
         force = self._coarse(course)
         correction = 0.0 if self.correction is None else self.correction
         error = 0.0 if self.error is None else self.error
         return force * (1.0 + correction), np.abs(force) * error
 
-    def corrected(self, changes: dict[str, float]) -> "RecordForward":
+    def corrected(self, changes: dict[str, float], each: Each = map) -> "RecordForward":
         """Find the correction at these parameters, by Richardson extrapolation of
         solves with finer time steps, taken to be of second order. Its error is a third
         of what the last refinement changes, more than tests have seen."""
         course = self._course(changes)
         if not course.programme.pulled:
             return self
-        middle, finest = (force_of(*course[:3], fine)[course.points] for fine in (2, 4))
+        forces = each(lambda fine: force_of(*course[:3], fine)[course.points], (2, 4))
+        middle, finest = forces
         correction = (4.0 * finest - middle) / 3.0 / self._coarse(course) - 1.0
         error = np.abs(finest / middle - 1.0) / 3.0
         return replace(self, correction=correction, error=error)
@@ -254,7 +260,7 @@ class RecordForward:
     def _course(self, changes: dict[str, float]) -> _Course:
         """Contacts, drive and grid at these parameters. Raises InputError."""
         keys = {key: x for key, x in changes.items() if not key.startswith("fit.")}
-        file = at(self.file, keys)
+        file = changed(self.file, keys)
         ensemble, programme = file.ensemble, programme_of(file)
         if self.machine_stiffness is not None:
             if programme.stage is None:
@@ -298,29 +304,33 @@ def settle_steps(problem: Problem, u: Array) -> Problem:
     return replace(problem, forward=forward, step=_STEP_GIVEN, central=True)
 
 
-def search_record(problem: Problem, u: Array) -> Minimum:
+def search_record(problem: Problem, u: Array, each: Each = map) -> Minimum:
     """Repeat least squares from `u`, each search from where the last one ended and with
-    the time steps that a solve there chooses."""
+    the time steps that a solve there chooses; `each` as in `minimise`."""
     ends: list[Minimum] = []
     while len(ends) < _MOST_SEARCHES:
         if len(ends) > 1 and ends[-1].chi2 >= (1.0 - _CHI2_FALL) * ends[-2].chi2:
             break
         try:
-            ends.append(minimise(settle_steps(problem, u), u))
+            ends.append(minimise(settle_steps(problem, u), u, each=each))
         except TooManySteps:
-            ends.append(minimise(problem, u))
+            ends.append(minimise(problem, u, each=each))
         u = ends[-1].u
     best = min(ends, key=lambda end: end.chi2)
     return best._replace(solves=sum(end.solves for end in ends))
 
 
-def correlated(problem: Problem, u: Array, t: Array) -> tuple[Problem, Correlation]:
+def correlated(
+    problem: Problem, u: Array, t: Array, each: Each = map
+) -> tuple[Problem, Correlation]:
     """The problem with time steps and correction at parameters `u`, and the correlation
     of its errors: that of the residuals there, at times `t`, by maximum likelihood
     of a Markov process of free variance."""
     problem = settle_steps(problem, u)
     assert isinstance(problem.forward, RecordForward)
-    problem = replace(problem, forward=problem.forward.corrected(problem.changes(u)))
+    problem = replace(
+        problem, forward=problem.forward.corrected(problem.changes(u), each)
+    )
     r, gap = (problem.value - problem.solved(u).predicted) / problem.sigma, np.diff(t)
 
     def deviance(log_tau: float) -> float:

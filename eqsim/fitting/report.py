@@ -16,7 +16,7 @@ from eqsim.fitting.estimate import DEGENERATE, different
 from eqsim.fitting.fit import REJECTED, FitResult, Goodness, Prepared
 from eqsim.fitting.model import velocity_of
 from eqsim.fitting.posterior import Posterior
-from eqsim.fitting.profiles import WIDE
+from eqsim.fitting.profiles import UNSURE, WIDE
 from eqsim.io import storage
 from eqsim.io.runfile import at, copied
 from eqsim.plots.style import saved
@@ -134,9 +134,28 @@ def write(result: FitResult, out: Path, title: str = "") -> list[str]:
         "identifiability.png": saved(pictures.identifiability_figure(result, title)),
     }
     storage.publish(out, files)
+    _remove_posterior(out)
+    return list(files)
+
+
+def write_estimates(result: FitResult, out: Path) -> None:
+    """Write what a fit has before all its profiles are there; what is there of another
+    fit is removed."""
+    files = {
+        "fit.json": storage.to_json(summary(result)).encode(),
+        "fitted.parquet": storage.parquet(fitted(result), _fit_origin(result)),
+        "run.toml": run_toml(result, out).encode(),
+    }
+    storage.publish(out, files)
+    for name in ("profiles.parquet", "fit.png", "profiles.png", "identifiability.png"):
+        (out / name).unlink(missing_ok=True)
+    _remove_posterior(out)
+
+
+def _remove_posterior(out: Path) -> None:
+    """Remove draws from the posterior of another fit."""
     for name in ("posterior.parquet", "posterior.png"):
         (out / name).unlink(missing_ok=True)
-    return list(files)
 
 
 def write_posterior(
@@ -235,7 +254,8 @@ def write_check(prepared: Prepared, out: Path, title: str) -> str:
 def rows(result: FitResult) -> Iterator[tuple[str, ...]]:
     """Cells of `KEY_COLUMNS` for each key."""
     for one in result.intervals:
-        ends = [_range(*one.intervals[name]) for name in ("68", "95")]
+        known = one.intervals
+        ends = [_range(*known[x]) if x in known else "" for x in ("68", "95")]
         yield one.key, f"{one.estimate:.4g}", *ends, one.status
 
 
@@ -275,7 +295,7 @@ def remarks(result: FitResult) -> Iterator[str]:
         elif rung.sd > WIDE:
             factor = math.exp(min(rung.sd, 50.0))
             yield f"known to no better than a factor {factor:.3g}: {rung.name}"
-    unsure = [one.key for one in result.intervals if one.status != "determined"]
+    unsure = [one.key for one in result.intervals if one.status in UNSURE]
     thermal = any(key.startswith("thermal.") for key in unsure)
     if thermal and len({row.heat for row in result.table.rows}) == 1:
         yield (

@@ -16,7 +16,7 @@ from eqsim.errors import (
     require_number,
     shown,
 )
-from eqsim.io.runfile import RunFile, keys, parameters
+from eqsim.io.runfile import RunFile, keys, parameters, population_alone
 from eqsim.laws.named import threshold_parameters
 from eqsim.sweeps.plan import entries
 
@@ -284,6 +284,10 @@ def parameters_of(file: RunFile, fit: Fit) -> list[Parameter]:
 def _check_effect(file: RunFile, key: str, kind: type) -> None:
     """Raise InputError for a key that holds no number with a fraction, or has no effect
     with the laws of the run file."""
+    field = f"fit.free.{key}"
+    if key.startswith("population.") and key.count(".") == 3:
+        _, index, key = key.split(".", 2)
+        file = population_alone(file, int(index))
     law, (section, _, name) = file["thresholds.law"], key.partition(".")
     wrong = ""
     if kind is not float:
@@ -296,7 +300,7 @@ def _check_effect(file: RunFile, key: str, kind: type) -> None:
     elif section == "aging" and file["aging.rule"] == "none":
         wrong = 'has no effect with aging.rule = "none", contacts that do not age'
     if wrong:
-        raise InputError(f"fit.free.{key}: {wrong}")
+        raise InputError(f"{field}: {wrong}")
 
 
 def _parameter(key: str, field: str, value: float, free: Free) -> Parameter:

@@ -73,7 +73,7 @@ def _scalings(
     moving = {one.key for one in free} | ({"fit.scale"} if scaled else set())
     if file["thresholds.law"] == "none":
         values.pop("thresholds.x_star", None)  # nothing depends on it
-    if not file["thermal.kT"] and "thermal.kT" not in moving:
+    if not file["thermal.kT"] and not any(k.endswith("thermal.kT") for k in moving):
         values["thermal.attempt_frequency"] = 0.0
     effective = (key for key, value in values.items() if value and math.isfinite(value))
     held = [key for key in ("fit.scale", *effective) if key not in moving]
@@ -100,6 +100,9 @@ def _scalings(
 def powers_of(file: RunFile, name: str) -> tuple[int, int]:
     """Powers of the factor by which the symmetries of lengths and of energies scale a
     key, or what is measured. The drive stays as it is."""
+    if name.startswith("population."):
+        name = name.split(".", 2)[2]
+        name = "contacts.stiffness" if name == "stiffness" else name
     entry = catalogue.KEYS.get(name)
     if entry is None:
         return MEASURED_POWERS.get(name, (0, 0))
@@ -124,7 +127,8 @@ def _limits(
 ) -> Iterator[str]:
     by_key, law = {one.key: one for one in free}, file["thresholds.law"]
     bond = BARRIERS[file["thermal.barrier"]].by_force
-    cold = not file["thermal.kT"] and "thermal.kT" not in by_key and not bond
+    heats = [k for k in (*parameters(file), *by_key) if k.endswith("thermal.kT")]
+    cold = not (bond or any(file[key] or key in by_key for key in heats))
     rule, annealed = file["aging.rule"], file["disorder"] == "annealed"
     if cold and "thermal.attempt_frequency" in by_key:
         yield "thermal.attempt_frequency: has no effect at thermal.kT = 0"
@@ -153,6 +157,7 @@ def _limits(
             )
             yield f"{widths[0]}: at thermal.kT = 0 it is {cure}"
     known = law in ("gamma", "delta") and file["thermal.barrier"] == "soft"
+    known &= not file["population"]
     if annealed and known and not measured & _UNSEEN:
         yield from _regimes(file, by_key)
 

@@ -202,7 +202,7 @@ class RunFile(Listed):
         for index, given in enumerate(self["population"] or []):
             with under(f"population.{index}"):
                 require_number("stiffness", given["stiffness"], **POSITIVE)
-                kind = _population(self, index)._contacts()
+                kind = population_alone(self, index)._contacts()
                 laws = {name: getattr(kind, name) for name in schema.OF_POPULATION}
                 kinds.append(Population(given["share"], kind.stiffness, **laws))
         return replace(alone, populations=kinds)
@@ -432,7 +432,7 @@ class RunFile(Listed):
         return rows_of(averages, self.units, self.quantities)
 
 
-def _population(file: RunFile, index: int) -> RunFile:
+def population_alone(file: RunFile, index: int) -> RunFile:
     """The run file of one population alone. Raises InputError."""
     data = copied(file.given, without=("population", "sweep", "fit"))
     for name, given in file.given["population"][index].items():
@@ -630,7 +630,7 @@ def keys(file: RunFile | None = None) -> dict[str, type]:
             for name, key in schema.keys_of(section).items():
                 known[f"{section}.{name}"] = str if key.kind is list else key.kind
     for index in range(len(file["population"] or [])):
-        above, alone = f"population.{index}.", keys(_population(file, index))
+        above, alone = f"population.{index}.", keys(population_alone(file, index))
         known |= {f"{above}share": float, f"{above}stiffness": float}
         known |= {
             above + name: kind
@@ -714,7 +714,7 @@ def check(data: dict[str, Any], folder: Path = Path()) -> RunFile:
     _stage(file)
     for index, population in enumerate(file.settings["population"] or []):
         with under(f"population.{index}"):
-            merged = _population(file, index).settings
+            merged = population_alone(file, index).settings
         population |= {name: merged[name] for name in schema.OF_POPULATION}
         population["stiffness"] = merged["contacts"]["stiffness"]
     return file

@@ -5,7 +5,11 @@ import itertools
 import json
 import math
 import os
+import signal
+import subprocess
+import sys
 import time
+import tomllib
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -146,11 +150,111 @@ def test_a_stopped_fit_goes_on(folder, monkeypatch):
     fit(other, folder, starts=2, keep=out)
     assert len(calls) == 4
     calls.clear()
+    longer = folder / "data.csv"
+    text = longer.read_text()
+    longer.write_text(text.replace("\n0.001,", "\n0.00100001,"))
+    fit(file, folder, starts=2, keep=out)
+    assert len(calls) == 4  # other data
+    longer.write_text(text)
+    calls.clear()
     again = fit(file, folder, starts=2, keep=out)
     assert len(calls) == 2
     assert again.intervals == whole.intervals
     assert again.minima[0].chi2 == whole.minima[0].chi2
     assert not list(out.iterdir())
+
+
+TWO = """
+disorder = "annealed"
+contacts.stiffness_law = "uniform"
+thermal.kT = 0.1
+[[population]]
+share = 0.7
+thermal.kT = 0.05
+[[population]]
+share = 0.3
+stiffness = 3.0
+thermal.kT = 0.5
+[fit]
+scale = { start = 1.0, bounds = [0.01, 100.0] }
+[fit.free]
+"population.0.thermal.kT" = { bounds = [1e-3, 20.0] }
+"population.1.thermal.kT" = { bounds = [1e-3, 20.0] }
+"population.1.share" = { bounds = [0.01, 10.0] }
+"""
+
+
+def test_two_populations_are_fitted(tmp_path):
+    """Friction without noise of other shares and temperatures is found to 3e-3, where
+    the search ends; the best fit's run file has it, too."""
+    truth = {"population.0.thermal.kT": 0.03, "population.1.thermal.kT": 1.0}
+    truth |= {"population.1.share": 0.2, "contacts.count": 10**12}
+    exact = check(tomllib.loads(TWO), tmp_path)
+    velocities = VELOCITIES[::2]
+    friction = curve(at(exact, truth).ensemble, velocities).friction
+    lines = [
+        f"{v},{3.0 * F},{1e-3 * F}" for v, F in zip(velocities, friction, strict=True)
+    ]
+    lines.insert(0, "drive.velocity,friction,friction_stderr")
+    (tmp_path / "data.csv").write_text("\n".join(lines))
+    found = fit(exact, data=tmp_path / "data.csv", starts=1, allow_degenerate=True)
+    for key in list(truth)[:3]:
+        assert found.values[key] == pytest.approx(truth[key], rel=3e-3, abs=0)
+    assert found.goodness.chi2 < 1e-3
+    report.write_estimates(found, tmp_path / "out")
+    best = load(tmp_path / "out" / "run.toml")
+    assert best["population.1.share"] == found.values["population.1.share"]
+
+
+def test_estimates_come_before_profiles(folder, monkeypatch):
+    """A fit that is stopped in its second key has written and printed its estimates, and
+    the interval of the first; the same command then ends with the files of a fit that was
+    not stopped."""
+    command = "fit", folder / "run.toml", "--starts", "1", "--workers", "1", "--out"
+    assert call(*command, folder / "whole").exit_code == 0
+    followed, calls, out = profiles.side, [], folder / "out"
+
+    def stopped(*given):
+        calls.append(given)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return followed(*given)
+
+    monkeypatch.setattr(profiles, "side", stopped)
+    stop = call(*command, out)
+    assert stop.exit_code == 130
+    names = {path.name for path in out.iterdir() if not path.name.startswith(".")}
+    assert names == {"fit.json", "fitted.parquet", "run.toml"}
+    first = json.loads((out / "fit.json").read_text())["parameters"]
+    monkeypatch.undo()
+    assert call(*command, out).exit_code == 0
+    for path in (folder / "whole").iterdir():
+        assert (out / path.name).read_bytes() == path.read_bytes(), path.name
+    last = json.loads((out / "fit.json").read_text())["parameters"]
+    assert first["thermal.kT"] == last["thermal.kT"]
+    assert first["fit.scale"]["estimate"] == last["fit.scale"]["estimate"]
+    assert first["fit.scale"]["status"] == "profile to come"
+    assert "interval_95" not in first["fit.scale"]
+    for key in first:
+        assert f"{key} = {last[key]['estimate']:.4g} (log: sd" in stop.output
+
+
+@pytest.mark.verification
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_killed_command_goes_on(folder, number):
+    """With two processes, at once when the estimates are there."""
+    words = [sys.executable, "-m", "eqsim", "fit", "run.toml", "--starts", "1"]
+    words += ["--workers", "2", "--out"]
+    subprocess.run([*words, "whole"], cwd=folder, check=True)
+    process = subprocess.Popen([*words, "out"], cwd=folder, start_new_session=True)
+    while not (folder / "out" / "fit.json").exists():
+        time.sleep(0.001)
+    os.killpg(process.pid, number)
+    assert process.wait(60) in (128 + number, -number)
+    subprocess.run([*words, "out"], cwd=folder, check=True)
+    for path in (folder / "whole").iterdir():
+        assert (folder / "out" / path.name).read_bytes() == path.read_bytes()
+    assert not list((folder / "out").glob(".unfinished-*"))
 
 
 def test_a_stopped_fit_is_forgotten_after_a_month(folder):
@@ -674,13 +778,15 @@ def test_a_side_of_a_parabola():
     problem = Problem(Line(), [one], value, sigma, none, np.ones(2), none > 0)
     best = minimise(problem, np.zeros(1))
     assert best.u[0] == pytest.approx(2.0, abs=1e-6)
-    right = profiles.side(problem, best, 0, 1, 1.5)
+    slope = np.array([[-1.0 / 1.5], [0.0]])
+    right = profiles.side(problem, best, 0, 1, slope)
     for name, level in profiles.LEVELS.items():
         assert right.ends[name] == pytest.approx(2.0 + 1.5 * math.sqrt(level), abs=0.01)
-    left = profiles.side(problem, best, 0, -1, 1.5)
+    left = profiles.side(problem, best, 0, -1, slope)
     assert left.ends["68"] is not None
     assert left.ends["95"] == pytest.approx(
         2.0 - 1.5 * math.sqrt(profiles.LEVELS["95"]), abs=0.01
     )
-    near = profiles.side(problem, Minimum(np.array([2.0]), 0.0, True, 1), 0, 1, 100.0)
+    near = Minimum(np.array([2.0]), 0.0, True, 1)
+    near = profiles.side(problem, near, 0, 1, slope / 100.0)
     assert near.ends["95"] == pytest.approx(right.ends["95"], abs=0.02)
