@@ -8,6 +8,7 @@ from eqsim.engine import elastic as _elastic
 from eqsim.engine import steady as _steady
 from eqsim.engine import trajectory as _trajectory
 from eqsim.engine.breaks import Breaks
+from eqsim.engine.chain_records import ChainTrajectory
 from eqsim.engine.records import (
     ElasticTrajectory,
     ProgrammeTrajectory,
@@ -47,6 +48,7 @@ from eqsim.master.lifetimes import Lifetime
 from eqsim.master.stability import FreshSlip, Stability
 from eqsim.master.steady import Curve, Reference
 from eqsim.master.transient import Fluctuations, Transient
+from eqsim.model.chain import Chain
 from eqsim.model.drive import Drive, Programme, Segment, Stage
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble, Population
@@ -62,6 +64,8 @@ __all__ = [
     "Aging",
     "Breaks",
     "Bursts",
+    "Chain",
+    "ChainTrajectory",
     "Closure",
     "Curve",
     "Delay",

@@ -236,15 +236,14 @@ class Slip:
 
 
 @dataclass(frozen=True, repr=False)
-class SliderTrajectory(ProgrammeTrajectory):
-    """A record of a slider that a stage pulls; X is found, not given.
+class PulledRecord(ProgrammeTrajectory):
+    """A record of what a stage pulls; X is found, not given.
 
     Forces and displacements are means over replicas, errors are from their scatter. Of
     a single ensemble `force_stderr` is what independent contacts at the same X would
     have, and `force_reliable` is False: it does not know how far this X(t) is from that
-    of other ensembles. The errors of force, pinned share and X, and those of `period`
-    and `drop`, include how far the finite step may be wrong: a third of what changes in
-    steps four times as long.
+    of other ensembles. The errors of force, pinned share and X include how far the
+    finite step may be wrong: a third of what changes in steps four times as long.
 
     Attributes
     ----------
@@ -260,9 +259,38 @@ class SliderTrajectory(ProgrammeTrajectory):
         X of every replica (length), if there are several.
     energy : ndarray, shape (points, 4)
         Over N k (length squared), means over replicas: work of the stage so far; what
-        spring, slider and contacts store, less that at the beginning; what broken
+        springs, masses and contacts store, less that at the beginning; what broken
         contacts, damping and viscosity have taken; and what is missing because steps
         are finite.
+    """
+
+    stage: Array
+    spring: Array
+    X_stderr: Array
+    X_replica_std: Array | None
+    X_replicas: Array | None
+    energy: Array
+
+    names: ClassVar[tuple[str, ...]] = (
+        *ProgrammeTrajectory.names,
+        *("X_stderr", "stage", "spring", "X_replica_std"),
+    )
+
+    def columns(self) -> dict[str, Array]:
+        """The arrays by name; those between replicas only if there are several."""
+        energies = "work", "stored", "dissipated", "missing"
+        return super().columns() | dict(zip(energies, self.energy.T, strict=True))
+
+
+@dataclass(frozen=True, repr=False)
+class SliderTrajectory(PulledRecord):
+    """A record of a slider that a stage pulls. The errors of `period` and `drop` include
+    that of the finite step, too.
+
+    Attributes are those of `PulledRecord`, and
+
+    Attributes
+    ----------
     slips : tuple of Slip
     coarser_slips : tuple of Slip, or None
         Those of the same contacts in steps four times as long; None if nothing is
@@ -278,26 +306,10 @@ class SliderTrajectory(ProgrammeTrajectory):
         mean X are those of the replicas that still hold.
     """
 
-    stage: Array
-    spring: Array
-    X_stderr: Array
-    X_replica_std: Array | None
-    X_replicas: Array | None
-    energy: Array
     slips: tuple[Slip, ...]
     coarser_slips: tuple[Slip, ...] | None
     avalanches: dict[str, Array] | None
     lifetimes: Array
-
-    names: ClassVar[tuple[str, ...]] = (
-        *ProgrammeTrajectory.names,
-        *("X_stderr", "stage", "spring", "X_replica_std"),
-    )
-
-    def columns(self) -> dict[str, Array]:
-        """The arrays by name; those between replicas only if there are several."""
-        energies = "work", "stored", "dissipated", "missing"
-        return super().columns() | dict(zip(energies, self.energy.T, strict=True))
 
     @property
     def period(self) -> Estimate:

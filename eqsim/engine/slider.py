@@ -51,15 +51,15 @@ from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
 
-_BLOCK = 512  # contacts summed first: sets the last bits, for any number of threads
+BLOCK = 512  # contacts summed first: sets the last bits, for any number of threads
 _BLOCKS_PER_THREAD = 20  # at least: waking a thread takes as long as following them
 _DRAWN_AT_ONCE = 1 << 16  # contacts of a stationary start, which bounds its memory
-_MEMORY = 30.0  # breaks over which rho and r are averaged
-_FIRST_STEP = 1e-6  # as a share of the first segment
+MEMORY = 30.0  # breaks over which rho and r are averaged
+FIRST_STEP = 1e-6  # as a share of the first segment
 _HALVINGS = 30  # of a step, until a slider without damping and mass slips at an instant
-_SHORTEST_STEP = 1e-200  # of a slider that damping or a mass limits
+SHORTEST_STEP = 1e-200  # of a slider that damping or a mass limits
 _SLIP_DURATION = 1e-40  # over its displacement, so short that no contact ages
-_NOISE = 2.0  # standard errors of breaks in a step, which no shorter step would reduce
+NOISE = 2.0  # standard errors of breaks in a step, which no shorter step would reduce
 _TOLERANCE = 1e-4  # of a slider without a stage, the default of a stage
 _STANDING = 1e-200  # speed over the pace of a motor that is switched off
 _AT_THRESHOLD = 1.0 - 1e-9  # share of a threshold from which on breaks are by motion
@@ -98,7 +98,7 @@ class Sums(NamedTuple):
 # Powers in which stiffness and length enter the sums.
 _OF_STIFFNESS = np.array(Sums(0, 1, 1, 2, 1, 1, 1, 2, 1, 0))
 _OF_LENGTH = np.array(Sums(0, 0, 1, 2, 2, 1, 1, 2, 2, 0))
-_SUMS = np.dtype([(name, np.float64) for name in Sums._fields])
+SUMS = np.dtype([(name, np.float64) for name in Sums._fields])
 
 
 class Piece(NamedTuple):
@@ -115,13 +115,36 @@ def advance(
 ) -> None:
     """Follow contacts along a piece, and add up each block of them. `population` holds
     records of type `CONTACT`, of contacts from `first` on; `sums` holds a record of
-    type `_SUMS` for each block, which are 0 before."""
+    type `SUMS` for each block, which are 0 before."""
     for block in range(sums.size):
-        begin = block * _BLOCK
-        for i in range(begin, min(begin + _BLOCK, population.size)):
-            contact = population[i]
-            _follow_contact(laws, piece, key, first + i, contact, sums[block])
-            _add(laws, contact, sums[block])
+        begin = block * BLOCK
+        here = Range(begin, min(begin + BLOCK, population.size))
+        follow_range(laws, piece, key, first, population, here, sums[block])
+
+
+class Range(NamedTuple):
+    """Contacts from `begin` to `end` of a population."""
+
+    begin: int
+    end: int
+
+
+@routine
+def follow_range(
+    laws: Contacts,
+    piece: Piece,
+    key: Key,
+    first: int,
+    population: Array,
+    here: Range,
+    sums: Any,
+) -> None:
+    """Follow contacts along a piece, of a population that begins with number `first`,
+    and add them to `sums`."""
+    for i in range(here.begin, here.end):
+        contact = population[i]
+        _follow_contact(laws, piece, key, first + i, contact, sums)
+        _add(laws, contact, sums)
 
 
 @routine(inline=True)
@@ -235,7 +258,7 @@ class Behind(NamedTuple):
 
 class BreakRates:
     """Change of F by breaks, per displacement (rho) and per time (r). Means over the
-    last `_MEMORY` breaks, or over those of the last step where these are more; rho is
+    last `MEMORY` breaks, or over those of the last step where these are more; rho is
     never taken over less than `shortest`."""
 
     def __init__(self, shortest: float) -> None:
@@ -248,7 +271,7 @@ class BreakRates:
 
     def add(self, dX: float, dt: float, sums: Sums, count: int) -> None:
         """Take account of a step of `count` contacts."""
-        kept = math.exp(-sums.breaks * count / _MEMORY)
+        kept = math.exp(-sums.breaks * count / MEMORY)
         direction = math.copysign(1.0, dX)
         if direction != self.direction:
             self.direction = direction
@@ -268,7 +291,8 @@ class BreakRates:
         return -self.by_heat / self.waited if self.waited > 0.0 else 0.0
 
 
-def _relaxed(
+@routine
+def relaxed(
     net: float, gain: float, stiffness: float, damping: float, dt: float
 ) -> float:
     """Displacement X(dt) from damping X' = net + gain t - stiffness X and X(0) = 0."""
@@ -341,12 +365,12 @@ class Slider:
             first = replica * alone.count
             group = Followed(contacts(alone, pace), key, first, population, size)
             k = alone.stiffness / ensemble.mean_stiffness
-            blocks.append(-(-alone.count // _BLOCK))
+            blocks.append(-(-alone.count // BLOCK))
             factors += blocks[-1] * [k**_OF_STIFFNESS * size**_OF_LENGTH]
             self.groups.append(group)
         self.factors = np.array(factors)
         self.block_sums = np.zeros_like(self.factors)
-        records = self.block_sums.view(_SUMS)[:, 0]
+        records = self.block_sums.view(SUMS)[:, 0]
         threads = max(1, min(threads, records.size // _BLOCKS_PER_THREAD))
         self.pool = ThreadPool(threads - 1) if threads > 1 else None
         # A group, and arguments of `advance` for a thread.
@@ -355,8 +379,8 @@ class Slider:
         for group, sums_of in zip(self.groups, of_groups, strict=True):
             ends = (np.arange(threads + 1) * sums_of.size // threads).tolist()
             for begin, end in pairwise(ends):
-                part = group.population[begin * _BLOCK : end * _BLOCK]
-                first = group.first + begin * _BLOCK
+                part = group.population[begin * BLOCK : end * BLOCK]
+                first = group.first + begin * BLOCK
                 self.shares.append((group, first, part, sums_of[begin:end]))
         laws = [kind.contacts.thresholds for kind in ensemble.kinds]
         self.least_slip = min(map(least_slip, laws)) / unit
@@ -372,7 +396,7 @@ class Slider:
         self.acceleration = 0.0
         self.behind = Behind()
         self.breaks = BreakRates(0.1 * self.longest)
-        self.dt = _FIRST_STEP * self.pull.ends[0]
+        self.dt = FIRST_STEP * self.pull.ends[0]
         speed = 0.0
         if programme.start == "stationary" and programme.velocity:
             speed = programme.velocity / pace
@@ -471,7 +495,7 @@ class Slider:
         gain = pull.stiffness * speed + pull.force_rates[self.segment] - self.breaks.r
         if pull.mass == 0.0:
             damping = self._damping(now.sums)
-            dX = behind.distance + _relaxed(net, gain, elastic, damping, dt)
+            dX = behind.distance + relaxed(net, gain, elastic, damping, dt)
             return dX, dX / dt
         theta, held = self._implicit(dt)
         V = now.V + behind.velocity
@@ -484,7 +508,7 @@ class Slider:
         so far at its end, and before in proportion to time."""
         if self.pull.mass == 0.0:
             damping = self._damping(self.state.sums)
-            distance = _relaxed(0.0, -missed / dt, self._elastic, damping, dt)
+            distance = relaxed(0.0, -missed / dt, self._elastic, damping, dt)
             velocity = 0.0
         else:
             theta, held = self._implicit(dt)
@@ -506,7 +530,7 @@ class Slider:
         dt = left if 1.2 * self.dt >= left else self.dt
         dX, V = self._estimate(dt, speed)
         limited = self.pull.damping or self.pull.mass
-        shortest = _SHORTEST_STEP if limited else 0.5**_HALVINGS * dt
+        shortest = SHORTEST_STEP if limited else 0.5**_HALVINGS * dt
         longest = 1.5 * self.longest
         gone = now.sums.pinned == 0.0 and self.endless
         if gone and not self.pull.mass:  # nothing breaks, and the estimate is exact
@@ -541,7 +565,7 @@ class Slider:
         is the error of the estimate of F; `before` the state before the step, which is
         `cut` if it was not as long as it might have been."""
         sums = self.state.sums
-        noise = _NOISE * math.sqrt(sums.scatter / self.count)
+        noise = NOISE * math.sqrt(sums.scatter / self.count)
         error = max(abs(missed) - noise, 0.0)
         if self.pull.mass:  # a change of the acceleration makes forces miss the balance
             acceleration = (self.state.V - before.V) / dt

@@ -10,7 +10,7 @@ and those that a force or a motor pulls, or whose contacts wait for heat, event 
 import math
 import time
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -22,7 +22,7 @@ from eqsim.engine.records import SliderTrajectory, Slip, by_replica
 from eqsim.engine.scatter import pinned_variance
 from eqsim.engine.slider import Slider
 from eqsim.laws.stiffness import kappa
-from eqsim.model.drive import Output, Programme
+from eqsim.model.drive import Grid, Output, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Pull, pull_of
 from eqsim.model.slip import least_slip
@@ -30,7 +30,7 @@ from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
 
 _ENOUGH_REPLICAS = 8  # whose scatter tells the error of their mean
-_COARSER = 4  # length of steps of the second run; it records one instant of so many
+COARSER = 4  # length of steps of the second run; it records one instant of so many
 _TOLD_AFTER_STEPS = 64  # between calls of `progress`
 _TOLD_AFTER_LIVES = 1000.0  # of one step, after which `progress` is called at once
 _SLIP_NOISE = 6.0  # standard deviations of the force above which a fall of it is a slip
@@ -40,13 +40,13 @@ _SLIP_NOISE = 6.0  # standard deviations of the force above which a fall of it i
 # the energy beyond that at first, and `behind` the error of X since steps missed F.
 _MOTION = ("X", "stage", "friction", "pinned", "variance")
 _ENERGIES = ("work", "stored", "dissipated", "missed")
-_COURSE = np.dtype([(name, float) for name in (*_MOTION, *_ENERGIES, "behind")])
+COURSE = np.dtype([(name, float) for name in (*_MOTION, *_ENERGIES, "behind")])
 
 
 class _PulledRun(NamedTuple):
     """Record of a replica; avalanches by column if they were followed."""
 
-    course: Array  # `_COURSE`
+    course: Array  # `COURSE`
     slips: list[Slip]
     lives: int
     avalanches: dict[str, Array] | None = None
@@ -73,7 +73,7 @@ def _note(slider: Slider, row: np.void) -> None:
 
 def _in_steps(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
     """Pull a slider through its programme step by step; `told` gets lives so far."""
-    course = np.zeros(instants.size, _COURSE)
+    course = np.zeros(instants.size, COURSE)
     _note(slider, course[0])
     states = [slider.state]
     lives = float(slider.count)
@@ -130,7 +130,7 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledR
     now["Y"] = start.Y
     now["force"] = start.sums.force
     now["stiffness"] = start.sums.stiffness
-    course = np.zeros(instants.size, _COURSE)
+    course = np.zeros(instants.size, COURSE)
     course["stage"] = stages
     found = []
     with ThreadPool(1) as thread:
@@ -182,7 +182,7 @@ def _by_events(
     told: Progress,
 ) -> list[_PulledRun]:
     """Runs of all replicas event by event. Fills `courses` (replicas, points) of
-    `_COURSE`."""
+    `COURSE`."""
     pull, law = pull_of(ensemble, programme), ensemble.thresholds
     sliders, every = events.follow_events(
         ensemble, programme, seed, instants, courses, threads, told
@@ -209,11 +209,11 @@ def _by_events(
 
 def coarse_instants(segment: Array) -> Array:
     """Instants of a grid that the second run records, of segments `segment` (points,).
-    These are the first one, and one in `_COARSER` counted from the end of each
+    These are the first one, and one in `COARSER` counted from the end of each
     segment."""
     ends = np.flatnonzero(np.append(np.diff(segment) != 0, True))
     from_end = ends[segment] - np.arange(segment.size)
-    recorded = from_end % _COARSER == 0
+    recorded = from_end % COARSER == 0
     recorded[0] = True
     return np.flatnonzero(recorded)
 
@@ -230,7 +230,7 @@ def step_error(fine: Array, coarse: Array, recorded: Array) -> Array:
     error = np.mean(changed, axis=0)
     if replicas > 1:
         error = np.hypot(error, np.std(changed, axis=0, ddof=1) / math.sqrt(replicas))
-    error = ndimage.maximum_filter1d(np.abs(error) / (_COARSER - 1), 3)
+    error = ndimage.maximum_filter1d(np.abs(error) / (COARSER - 1), 3)
     after = np.searchsorted(recorded, np.arange(fine.shape[1]))
     bound = np.maximum(error[np.maximum(after - 1, 0)], error[after])
     bound[0] = 0.0
@@ -267,6 +267,80 @@ def _avalanches_in_units(
     return columns
 
 
+def pulled_columns(
+    ensemble: Ensemble,
+    programme: Programme,
+    grid: Grid,
+    pull: Pull,
+    every: Array,
+    again: Array | None = None,
+) -> dict[str, Any]:
+    """The fields of a `PulledRecord` that follow from the courses of all replicas,
+    `every` (replicas, points) of type `COURSE`. `again` holds those in steps four times
+    as long at the `coarse_instants`, if steps are finite."""
+    replicas, unit = len(every), ensemble.thresholds.scale
+    gone = np.isnan(every["X"])  # means of X are over those that hold
+    mean = {name: np.mean(every[name], axis=0) for name in COURSE.names or ()}
+    for name in ("X", "stage") if gone.any() else ():
+        mean[name] = np.ma.array(every[name], mask=gone).mean(axis=0).filled(math.nan)
+    delayed = any(kind.contacts.delay.time > 0 for kind in ensemble.kinds)
+    errors = {
+        "X": np.zeros(grid.t.size),
+        "friction": np.sqrt(mean["variance"]),
+        "pinned": np.sqrt(pinned_variance(mean["pinned"], ensemble.count, delayed)),
+    }
+    X_std = force_std = X_replicas = force_replicas = None
+    if replicas > 1:
+        std = {name: np.std(every[name], axis=0, ddof=1) for name in errors}
+        errors = {name: std[name] / math.sqrt(replicas) for name in errors}
+        if gone.any():
+            holding = np.ma.array(every["X"], mask=gone)
+            std["X"] = holding.std(axis=0, ddof=1).filled(math.nan)
+            errors["X"] = std["X"] / np.sqrt(np.maximum(holding.count(axis=0), 1))
+        errors["friction"] = np.sqrt(std["friction"] ** 2 / replicas)
+        X_std, force_std = std["X"] * unit, std["friction"] * unit
+        X_replicas, force_replicas = every["X"] * unit, every["friction"] * unit
+    scatter = errors["friction"]
+    if again is not None:
+        behind = np.abs(mean["behind"])  # and of the force, of a mean stiffness <= 1
+        recorded = coarse_instants(grid.segment)
+        for name in errors:
+            missed = step_error(every[name], again[name], recorded)
+            missed += 0.0 if name == "pinned" else behind
+            errors[name] = np.hypot(errors[name], missed)
+    X, force = mean["X"] * unit, mean["friction"] * unit
+    X_stderr, stderr = errors["X"] * unit, errors["friction"] * unit
+    reliable = replicas >= _ENOUGH_REPLICAS
+    missed = np.sqrt(np.maximum(errors["friction"] ** 2 - scatter**2, 0.0)) * unit
+    forces = Forces(force, stderr, force_replicas if reliable else None, missed)
+    shown = grid._replace(X=X), forces, reliable, X_stderr
+    energies = [mean[name] for name in _ENERGIES]
+    spring = pull.stiffness * (mean["stage"] - mean["X"])
+    if programme.forced:
+        spring = pull.force_at(grid.t * (pull.pace / unit))
+    elif programme.stage is None:
+        spring = mean["friction"]
+    return {
+        "X": X,
+        "t": grid.t,
+        "force": force,
+        "force_stderr": stderr,
+        "force_reliable": reliable,
+        "pinned": mean["pinned"],
+        "pinned_stderr": errors["pinned"],
+        "force_replica_std": force_std,
+        "force_replicas": force_replicas,
+        "segment": grid.segment,
+        "segments": shown_by(programme, *shown),
+        "stage": mean["stage"] * unit,
+        "spring": spring * unit,
+        "X_stderr": X_stderr,
+        "X_replica_std": X_std,
+        "X_replicas": X_replicas,
+        "energy": np.stack(energies, axis=1) * unit**2,
+    }
+
+
 def pulled(
     ensemble: Ensemble,
     programme: Programme,
@@ -282,7 +356,7 @@ def pulled(
     instants = grid.t * per_time
     recorded = coarse_instants(grid.segment)
     workers = 1 if isinstance(threads, tuple) else workers_of(threads)
-    every = np.zeros((replicas, grid.t.size), _COURSE)
+    every = np.zeros((replicas, grid.t.size), COURSE)
     runs: list[_PulledRun] = []
     coarse: list[_PulledRun] = []
     begin, lives = 0.0, 0
@@ -306,71 +380,15 @@ def pulled(
         lives += runs[-1].lives
         del slider  # its memory is that of the next one
         if follow is _in_steps:
-            with Slider(*start, _COARSER) as slider:  # its lives do not count
+            with Slider(*start, COARSER) as slider:  # its lives do not count
                 coarse.append(_in_steps(slider, instants[recorded], lambda _: told(0)))
-    again = np.array([run.course for run in coarse])
-    gone = np.isnan(every["X"])  # means of X are over those that hold
-    mean = {name: np.mean(every[name], axis=0) for name in _COURSE.names or ()}
-    for name in ("X", "stage") if gone.any() else ():
-        mean[name] = np.ma.array(every[name], mask=gone).mean(axis=0).filled(math.nan)
-    delayed = any(kind.contacts.delay.time > 0 for kind in ensemble.kinds)
-    errors = {
-        "X": np.zeros(grid.t.size),
-        "friction": np.sqrt(mean["variance"]),
-        "pinned": np.sqrt(pinned_variance(mean["pinned"], ensemble.count, delayed)),
-    }
-    X_std = force_std = X_replicas = force_replicas = None
-    if replicas > 1:
-        std = {name: np.std(every[name], axis=0, ddof=1) for name in errors}
-        errors = {name: std[name] / math.sqrt(replicas) for name in errors}
-        if gone.any():
-            holding = np.ma.array(every["X"], mask=gone)
-            std["X"] = holding.std(axis=0, ddof=1).filled(math.nan)
-            errors["X"] = std["X"] / np.sqrt(np.maximum(holding.count(axis=0), 1))
-        errors["friction"] = np.sqrt(std["friction"] ** 2 / replicas)
-        X_std, force_std = std["X"] * unit, std["friction"] * unit
-        X_replicas, force_replicas = every["X"] * unit, every["friction"] * unit
-    scatter = errors["friction"]
-    if coarse:
-        behind = np.abs(mean["behind"])  # and of the force, of a mean stiffness <= 1
-        for name in errors:
-            missed = step_error(every[name], again[name], recorded)
-            missed += 0.0 if name == "pinned" else behind
-            errors[name] = np.hypot(errors[name], missed)
-    X, force = mean["X"] * unit, mean["friction"] * unit
-    X_stderr, stderr = errors["X"] * unit, errors["friction"] * unit
-    reliable = replicas >= _ENOUGH_REPLICAS
-    missed = np.sqrt(np.maximum(errors["friction"] ** 2 - scatter**2, 0.0)) * unit
-    forces = Forces(force, stderr, force_replicas if reliable else None, missed)
-    shown = grid._replace(X=X), forces, reliable, X_stderr
-    energies = [mean[name] for name in _ENERGIES]
-    spring = pull.stiffness * (mean["stage"] - mean["X"])
-    if programme.forced:
-        spring = pull.force_at(instants)
-    elif programme.stage is None:
-        spring = mean["friction"]
+    again = np.array([run.course for run in coarse]) if coarse else None
     return SliderTrajectory(
-        X=X,
-        t=grid.t,
-        force=force,
-        force_stderr=stderr,
-        force_reliable=reliable,
-        pinned=mean["pinned"],
-        pinned_stderr=errors["pinned"],
-        force_replica_std=force_std,
-        force_replicas=force_replicas,
+        **pulled_columns(ensemble, programme, grid, pull, every, again),
         lives=lives,
         seed=seed,
         engine_seconds=time.perf_counter() - begin,
         threads=workers,
-        segment=grid.segment,
-        segments=shown_by(programme, *shown),
-        stage=mean["stage"] * unit,
-        spring=spring * unit,
-        X_stderr=X_stderr,
-        X_replica_std=X_std,
-        X_replicas=X_replicas,
-        energy=np.stack(energies, axis=1) * unit**2,
         slips=_slips_in_units(runs, per_time, unit),
         coarser_slips=_slips_in_units(coarse, per_time, unit) if coarse else None,
         avalanches=_avalanches_in_units(runs, per_time, unit),

@@ -15,6 +15,7 @@ import numpy as np
 from eqsim import estimate
 from eqsim.engine import programme, scatter
 from eqsim.engine.blocks import Progress, Threads, require_lives, simulated, workers_of
+from eqsim.engine.chain import chain_trajectory
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.readings import Forces, shown_by
 from eqsim.engine.recorder import BATCHES, Run, Scales, Window
@@ -179,6 +180,8 @@ def trajectory(
     output = Output(points, seed, replicas)
     expected = check_run(ensemble, drive, output, max_lives)
     progress = guarded(progress, expected, max_lives)
+    if isinstance(drive, Programme) and drive.chain:
+        return chain_trajectory(ensemble, drive, output, threads, progress)
     if isinstance(drive, Programme) and drive.pulled:
         return pulled(ensemble, drive, output, threads, progress)
     loaded = isinstance(drive, Programme) and drive.loaded

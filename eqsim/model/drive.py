@@ -16,6 +16,7 @@ from eqsim.errors import (
     shown,
     under,
 )
+from eqsim.model.chain import Chain
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
@@ -257,6 +258,8 @@ class Programme:
     stage : Stage, optional
         The programme is that of a stage that pulls the slider through a spring; else of
         the slider itself.
+    chain : Chain, optional
+        The programme is that of what pulls a chain of blocks.
     stall_force : float
         Force s over N k (length), > 0, at which a motor stops that drives the slider,
         or the stage's end of the spring, where its load is F:
@@ -283,6 +286,7 @@ class Programme:
     stage: Stage | None = None
     stall_force: float = math.inf
     rebinding: Rebinding = "unstretched"
+    chain: Chain | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "segments", tuple(self.segments))
@@ -305,6 +309,9 @@ class Programme:
         elif self.rebinding == "shared":
             raise InputError('rebinding = "shared": needs a force')
         self._require_loads()
+        if self.chain is not None and (self.stage is not None or self.motor):
+            said = "not with a stage or a motor; its programme is that of what pulls it"
+            raise InputError(f"chain: {said}")
         with under("programme"):
             duration = sum(segment.duration for segment in self.segments)
             require_number("time", duration, **POSITIVE)
@@ -318,6 +325,7 @@ class Programme:
             raise InputError(f"programme: a segment has a force, {said}")
         given = {
             "stage": self.stage is not None,
+            "chain": self.chain is not None,
             "stall_force": self.stall_force != math.inf,
             "start": self.start != "fresh",
         }
@@ -357,8 +365,9 @@ class Programme:
 
     @property
     def pulled(self) -> bool:
-        """True if X is found, not given: by a stage, a force or a motor."""
-        return self.stage is not None or self.forced or self.motor
+        """True if X is found, not given: by a stage, a chain, a force or a motor."""
+        given = self.stage is None and self.chain is None
+        return not given or self.forced or self.motor
 
     def position(self, t: Array) -> Array:
         """Displacement at times `t` of what is driven: the slider, or the stage."""

@@ -291,6 +291,9 @@ def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
     """Find the pull on the slider of a programme. Raises InputError if nothing does, or a
     number is out of range."""
     stage, unit = programme.stage, ensemble.thresholds.scale
+    if programme.chain:
+        said = "a chain of blocks is simulated by `trajectory` and `eqsim run` alone"
+        raise InputError(f"drive.chain: {said}; this needs a rigid slider")
     if not programme.pulled:
         raise InputError("drive.stage: is required")
     pace = max(leg.pace for leg in legs(ensemble, programme))

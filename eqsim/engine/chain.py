@@ -1,0 +1,337 @@
+"""Chains of blocks in time: their trajectories, with errors of finite steps.
+
+Every chain is followed a second time in steps four times as long, as a slider behind a
+stage is (`engine.slider_runs`). Threads share the blocks of a chain where these are
+many, and the runs of replicas otherwise.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from concurrent.futures import CancelledError
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from eqsim.engine.blocks import Progress, Threads, workers_of
+from eqsim.engine.chain_records import ChainTrajectory
+from eqsim.engine.chain_steps import (
+    BROKE,
+    COURSE,
+    EVENT,
+    Blocks,
+    Chained,
+    Links,
+    follow_all,
+    march,
+)
+from eqsim.engine.contacts import contacts
+from eqsim.engine.records import by_replica
+from eqsim.engine.slider import CONTACT, FIRST_STEP, SUMS, find_stationary
+from eqsim.engine.slider_runs import (
+    COARSER,
+    coarse_instants,
+    pulled_columns,
+)
+from eqsim.engine.slider_runs import COURSE as MEANS
+from eqsim.errors import InputError
+from eqsim.laws.aging import Unaged
+from eqsim.laws.barrier import Mechanical
+from eqsim.model.chain import Chain
+from eqsim.model.drive import Grid, Output, Programme, Stage
+from eqsim.model.ensemble import Ensemble
+from eqsim.model.reduced import Pull, drag_of, pull_of
+from eqsim.model.slip import width_of
+from eqsim.numerics.streams import TRAJECTORY
+from eqsim.numerics.streams import key as key_of
+from eqsim.numerics.tables import Array
+from eqsim.numerics.threads import ThreadPool
+
+_MOST_RECORDS = 20_000_000  # of all blocks and replicas: some 1 GB of memory
+_EVENT_SPEED = 10.0  # velocity of a block in an event, over the fastest drive
+_TOLD_AFTER = 256  # steps between calls of `progress`
+_ROOM = 4096  # events, and broken blocks besides those of one step
+
+# A block at an instant of the grid.
+RECORD = np.dtype(
+    [
+        ("X", float),
+        ("V", float),
+        ("force", float),
+        ("pinned", float),
+        ("breaks", np.int64),
+    ]
+)
+
+
+def pull_of_chain(ensemble: Ensemble, programme: Programme) -> tuple[Chain, Pull]:
+    """The chain of a programme, and the pull of a stage on a single block of it. Raises
+    InputError for contacts that a chain does not take."""
+    chain = programme.chain
+    if chain is None:
+        raise InputError("drive.chain: is required")
+    if ensemble.populations:
+        raise InputError("population: a chain takes contacts of one kind")
+    if programme.forced or programme.rebinding == "shared":
+        raise InputError("drive.force: a chain is pulled by a plate or at its edge")
+    chain.contacts_of(ensemble.count)
+    stage = Stage(chain.drive_stiffness, chain.damping, chain.mass)
+    return chain, pull_of(ensemble, replace(programme, chain=None, stage=stage))
+
+
+def chained(
+    ensemble: Ensemble,
+    programme: Programme,
+    seed: int,
+    replica: int = 0,
+    longer: int = 1,
+) -> Chained:
+    """Make a chain at the start of a programme, with the contacts of a replica. Steps
+    are `longer` times as long as its tolerance asks for. Raises InputError."""
+    chain, pull = pull_of_chain(ensemble, programme)
+    law, unit, pace = ensemble.thresholds, ensemble.thresholds.scale, pull.pace
+    B, laws = chain.blocks, contacts(ensemble, pace)
+    ends = np.concatenate(([0], np.cumsum(chain.contacts_of(ensemble.count))))
+    coupling = chain.coupling if B > 1 else 0.0
+    bulk = chain.bulk_damping * pace / unit if B > 1 else 0.0
+    free = coupling == 0.0 and bulk == 0.0
+    # A front breaks all contacts of a block within a step, however narrow their law.
+    width = width_of(law) if free else law.mean
+    barrier, aging = laws.barrier, laws.aging
+    links = Links(
+        coupling=float(coupling),
+        bulk=bulk,
+        damping=pull.damping,
+        drag=drag_of(ensemble, pace),
+        mass=pull.mass,
+        periodic=chain.edges == "periodic",
+        free=free,
+        springs=chain.springs,
+        neighbours=chain.neighbours if B > 1 else np.zeros(1),
+        ends=ends,
+        mean_count=ensemble.count / B,
+        longest=longer * math.sqrt(chain.tolerance) * width / unit,
+        tolerance=longer**2 * chain.tolerance * law.mean / unit,
+        waits=not isinstance(barrier, Mechanical) or not isinstance(aging, Unaged),
+        fast=_EVENT_SPEED * max(map(abs, pull.speeds)),
+    )
+    blocks = Blocks(*np.zeros((len(Blocks._fields), B)))
+    blocks.direction.fill(1.0)
+    now, then, part = (np.zeros(B, SUMS) for _ in range(3))
+    rows = (x.view(float).reshape(B, -1) for x in (then, part))
+    population = np.zeros(ensemble.count, CONTACT)
+    first, key = replica * ensemble.count, key_of(seed, TRAJECTORY)
+    course = np.zeros(1, COURSE)
+    lists = np.empty(_ROOM + B, BROKE), np.empty(_ROOM, EVENT)
+    c = Chained(
+        *(laws, key, first, links, blocks, population),
+        *(now, then, part, *rows, course, *lists),
+    )
+    speed = 0.0
+    if programme.start == "stationary" and programme.velocity:
+        speed = programme.velocity / pace
+        before = contacts(ensemble, programme.velocity)
+        find_stationary(before, key, first, population, speed)
+    follow_all(c)
+    course["dt"] = FIRST_STEP * pull.ends[0]
+    if speed:
+        weights = np.diff(ends) / links.mean_count
+        damping = links.damping + links.drag * (weights - now["pinned"])
+        blocks.V.fill(speed)
+        blocks.X[:] = _balanced(links, -(now["force"] + damping * speed))
+        course["Y"] = -blocks.X[0]
+        blocks.X[:] -= blocks.X[0]
+    return c
+
+
+def _balanced(links: Links, force: Array) -> Array:
+    """Displacements of springs under a `force` on each block, with Y = 0, (B,)."""
+    if links.free:
+        return force / links.springs
+    size = force.size
+    beside = np.full(size - 1, -links.coupling)
+    diagonals = {0: links.springs + links.coupling * links.neighbours}
+    diagonals |= {1: beside, -1: beside}
+    if links.periodic:
+        diagonals |= {size - 1: beside[:1], 1 - size: beside[:1]}
+    whole = sparse.diags_array([*diagonals.values()], offsets=[*diagonals])
+    return np.asarray(sparse.linalg.spsolve(whole.tocsc(), force))
+
+
+class _Run(NamedTuple):
+    """Record of a replica."""
+
+    means: Array  # `MEANS`, (points,)
+    records: Array  # `RECORD`, (points, B)
+    broke: Array  # `BROKE`
+    events: Array  # `EVENT`
+    breaks: int
+    steps: int
+
+
+def _mean_over(c: Chained) -> tuple[float, ...]:
+    """The chain at an instant, as `MEANS` has it: means over blocks."""
+    links, b, s, sums = c.links, c.blocks, c.course[0], c.now
+    weight = np.diff(links.ends) / links.mean_count
+    drag = links.drag * (weight - sums["pinned"]) * b.V
+    variance = np.maximum(sums["square"] - sums["force"] ** 2 / weight, 0.0)
+    apart = np.diff(b.X, append=b.X[:1] if links.periodic else b.X[-1:])
+    stored = links.springs * (s["Y"] - b.X) ** 2 + links.coupling * apart**2
+    stored = 0.5 * (stored + links.mass * b.V**2) + sums["stored"]
+    means = b.X, np.full(b.X.size, s["Y"]), sums["force"] + drag, sums["pinned"]
+    energies = np.mean(stored), s["damped"] + s["lost"], s["missed"]
+    return (
+        *map(np.mean, means),
+        float(np.mean(variance)) / c.population.size,
+        *(s["work"], *energies, float(np.mean(b.behind))),
+    )
+
+
+def _record(c: Chained) -> Array:
+    """The blocks at an instant, (B,) of `RECORD`."""
+    links, b, sums = c.links, c.blocks, c.now
+    weight = np.diff(links.ends) / links.mean_count
+    row = np.empty(b.X.size, RECORD)
+    row["X"] = b.X
+    row["V"] = b.V
+    row["force"] = sums["force"] + links.drag * (weight - sums["pinned"]) * b.V
+    row["pinned"] = sums["pinned"] / weight
+    row["breaks"] = np.rint(b.breaks)
+    return row
+
+
+def follow(
+    c: Chained,
+    pull: Pull,
+    instants: Array,
+    stop: Array,
+    told: Callable[[int, float], None],
+) -> _Run:
+    """Follow a chain through its programme. `told` gets the breaks since it was called
+    last, and the time."""
+    means = [_mean_over(c)]
+    records = [_record(c)]
+    s = c.course[0]
+    lists: tuple[list[Array], list[Array]] = [], []
+    breaks = 0.0
+
+    def tell() -> None:
+        nonlocal breaks
+        before, breaks = breaks, float(c.blocks.breaks.sum())
+        told(round(breaks - before), float(s["time"]))
+
+    row = 1
+    for end, speed in zip(pull.ends, pull.speeds, strict=True):
+        while row < instants.size and instants[row] <= end * (1.0 + 1e-12):
+            until = min(float(instants[row]), end)
+            while s["time"] < until:
+                march(c, until, float(speed), _TOLD_AFTER, stop)
+                if stop[0]:
+                    raise CancelledError
+                tell()
+                for kept, full, name in zip(
+                    lists, (c.broke, c.events), ("rows", "events"), strict=True
+                ):
+                    kept.append(full[: s[name]].copy())
+                    s[name] = 0
+            means.append(_mean_over(c))
+            records.append(_record(c))
+            row += 1
+    broke, events = (np.concatenate(kept) for kept in lists)
+    course = np.array(means, MEANS)
+    course["stored"] -= course["stored"][0]
+    lives = round(breaks) + c.population.size
+    return _Run(course, np.array(records), broke, events, lives, int(s["steps"]))
+
+
+def _check(
+    ensemble: Ensemble, programme: Programme, output: Output
+) -> tuple[Chain, Pull]:
+    """The chain of a run, which is neither too large nor too long."""
+    chain, pull = pull_of_chain(ensemble, programme)
+    points = programme.grid(output.points).t.size
+    if points * chain.blocks * output.replicas > _MOST_RECORDS:
+        raise InputError(
+            f"output.points = {points}: records of all blocks and replicas must be <= "
+            f"{_MOST_RECORDS:.0e} in number"
+        )
+    return chain, pull
+
+
+def chain_trajectory(
+    ensemble: Ensemble,
+    programme: Programme,
+    output: Output,
+    threads: Threads,
+    progress: Progress | None,
+) -> ChainTrajectory:
+    """Simulate `trajectory.trajectory` of a chain of blocks."""
+    chain, pull = _check(ensemble, programme, output)
+    grid, unit = programme.grid(output.points), ensemble.thresholds.scale
+    instants = grid.t * (pull.pace / unit)
+    workers = workers_of(threads)
+    lives = ensemble.count * output.replicas
+
+    def told(more: int) -> None:
+        nonlocal lives
+        lives += more
+        if progress:
+            progress(lives)
+
+    def simulate(task: tuple[int, int]) -> _Run:
+        replica, longer = task
+        c = chained(ensemble, programme, output.seed, replica, longer)
+        here = instants if longer == 1 else instants[coarse_instants(grid.segment)]
+        tell = (lambda breaks, _: told(breaks)) if longer == 1 else (lambda *_: None)
+        return follow(c, pull, here, pool.stop, tell)
+
+    tasks = [(i, longer) for i in range(output.replicas) for longer in (1, COARSER)]
+    begin = time.perf_counter()
+    with ThreadPool(max(1, min(workers, len(tasks)))) as pool:
+        runs = list(pool.map(simulate, tasks))
+    fine, coarse = runs[::2], runs[1::2]
+    means, again = (np.array([run.means for run in half]) for half in (fine, coarse))
+    columns = pulled_columns(ensemble, programme, grid, pull, means, again)
+    X = np.array([run.records["X"] for run in fine])
+    stage = np.array([run.means["stage"] for run in fine])
+    springs = chain.springs * (stage[..., None] - X)
+    columns["spring"] = np.mean(springs, axis=(0, 2)) * unit
+    return ChainTrajectory(
+        **columns,
+        lives=sum(run.breaks for run in fine),
+        seed=output.seed,
+        engine_seconds=time.perf_counter() - begin,
+        threads=workers,
+        steps=tuple(run.steps for run in fine),
+        chain=chain,
+        blocks=by_replica([_of_blocks(run, grid, pull, unit) for run in fine]),
+        broke=by_replica([_in_units(run.broke, pull, unit) for run in fine]),
+        events=by_replica([_in_units(run.events, pull, unit) for run in fine]),
+    )
+
+
+# Powers of length and time in the columns of lists.
+_POWERS = {"t": (0, 1), "duration": (0, 1), "energy": (2, 0)}
+_POWERS |= dict.fromkeys(("X", "force", "peak", "drop"), (1, 0)) | {"V": (1, -1)}
+
+
+def _in_units(rows: Array, pull: Pull, unit: float) -> dict[str, Array]:
+    """Columns of a list in the user's units."""
+    columns = {}
+    for name in rows.dtype.names or ():
+        length, time_ = _POWERS.get(name, (0, 0))
+        factor = unit**length * (unit / pull.pace) ** time_
+        columns[name] = rows[name] * factor if length or time_ else rows[name].copy()
+    return columns
+
+
+def _of_blocks(run: _Run, grid: Grid, pull: Pull, unit: float) -> dict[str, Array]:
+    """Records of the blocks of a replica by column, in the user's units."""
+    points, blocks = run.records.shape
+    where = {
+        "t": np.repeat(grid.t, blocks),
+        "block": np.tile(np.arange(blocks), points),
+    }
+    return where | _in_units(run.records.ravel(), pull, unit)

@@ -1,0 +1,293 @@
+"""Chains of blocks in time: one block as a slider, separate blocks, springs and dampers
+against linear algebra, energy, stiff coupling, fronts.
+
+All contacts have one type of laws, so that kernels are compiled once.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from eqsim import (
+    Chain,
+    Delay,
+    Delta,
+    Ensemble,
+    InputError,
+    Programme,
+    Segment,
+    Stage,
+    Thermal,
+    trajectory,
+)
+from eqsim.engine.chain import chained, follow, pull_of_chain
+from eqsim.engine.chain_steps import march
+from eqsim.engine.slider import Slider
+
+HOT = Ensemble(thermal=Thermal(0.1), delay=Delay(1.0), count=400)
+# heat that never breaks a contact
+COLD = Ensemble(Delta(1.0), Thermal(0.1, attempt_frequency=1e-50), count=400)
+STOP = np.zeros(1, np.int64)
+
+
+def programme(chain, time=40.0, speed=0.1, **how):
+    return Programme([Segment(speed, time=time)], chain=chain, **how)
+
+
+def behind_a_stage(chain, time=40.0, **how):
+    spring = chain.drive_stiffness, chain.damping, chain.mass
+    stage = Stage(*spring, tolerance=chain.tolerance)
+    return Programme([Segment(0.1, time=time)], stage=stage, **how)
+
+
+def step(c, dt=None):
+    """One step of a chain, of a given length."""
+    if dt is not None:
+        c.course["dt"] = dt
+    assert march(c, 1e9, 1.0, 1, STOP)
+
+
+# The stationary start is of a faster motion than that of the programme.
+STARTS = [{}, {"start": "stationary", "velocity": 0.2}]
+
+
+@pytest.mark.parametrize("mass", [0.0, 2.0])
+@pytest.mark.parametrize("start", STARTS, ids=["fresh", "stationary"])
+def test_one_block_is_a_slider_bit_for_bit(mass, start):
+    chain = Chain(1, 5.0, 0.25, mass=mass, damping=0.5, bulk_damping=1.0)
+    c = chained(HOT, programme(chain, **start), 3)
+    with Slider(HOT, behind_a_stage(chain, **start), 3, 0, 1) as slider:
+        for _ in range(600):
+            step(c)
+            slider.step(1e9, 1.0)
+            here = c.course[0]
+            now = slider.state
+            assert (here["time"], here["Y"]) == (now.time, now.Y)
+            assert (c.blocks.X[0], c.blocks.V[0]) == (now.X, now.V)
+            assert c.now["force"][0] == now.sums.force
+            assert here["dt"] == slider.dt
+        assert c.blocks.breaks[0] > 0
+        energies = now.work, now.damped, now.lost, now.missed
+        assert tuple(here[["work", "damped", "lost", "missed"]]) == energies
+
+
+@pytest.mark.parametrize("mass", [0.0, 2.0])
+def test_blocks_without_coupling_are_separate_sliders_bit_for_bit(mass):
+    chain = Chain(3, 0.0, 0.25, mass=mass, damping=0.5)
+    alone = replace(HOT, count=100)
+    c = chained(replace(HOT, count=300), programme(chain), 1)
+    sliders = [Slider(alone, behind_a_stage(chain), 1, j, 1) for j in range(3)]
+    for _ in range(400):
+        step(c, 0.004)
+        for j, slider in enumerate(sliders):
+            slider.dt = 0.004
+            now = slider.step(1e9, 1.0)
+            assert (c.blocks.X[j], c.now["force"][j]) == (now.X, now.sums.force)
+    assert c.blocks.breaks.min() > 0
+
+
+def matrices(chain):
+    """Stiffness with all contacts pinned, and damping, by adding up springs."""
+    B = chain.blocks
+    L = np.zeros((B, B))
+    pairs = [(j, (j + 1) % B) for j in range(B - (chain.edges == "open"))]
+    for i, j in pairs:
+        L[i, i] += 1.0
+        L[j, j] += 1.0
+        L[i, j] -= 1.0
+        L[j, i] -= 1.0
+    springs = np.zeros(B)
+    springs[: 1 if chain.drive == "edge" else B] += chain.drive_stiffness
+    springs[0] += chain.edge_stiffness or 0.0
+    S = np.diag(springs + 1.0) + chain.coupling * L
+    return S, chain.damping * np.eye(B) + chain.bulk_damping * L, springs
+
+
+LINEAR = [
+    Chain(1, 3.0, 0.2, damping=0.5),
+    Chain(2, 3.0, 0.2, "edge", damping=0.5),
+    Chain(5, 3.0, 0.2, "both", 0.7, damping=0.5, bulk_damping=0.4),
+    Chain(5, 3.0, 0.2, "edge", mass=2.0, damping=0.1, bulk_damping=0.4),
+    Chain(4, 3.0, 0.2, edges="periodic", damping=0.5, bulk_damping=0.4),
+    Chain(4, 3.0, 0.2, edges="periodic", mass=2.0),
+    Chain(5, 1e6, 0.2, "edge", damping=0.5),
+]
+
+
+@pytest.mark.parametrize("chain", LINEAR, ids=range(len(LINEAR)))
+@pytest.mark.parametrize("wrong", [False, True], ids=["", "control"])
+def test_springs_masses_and_dampers(chain, wrong):
+    """As long as no contact breaks, against the exponential of a matrix. Errors of
+    second order: 0.01 of a step, in 1 unit of time, leaves 1e-4 of displacements. A
+    neighbour less or the other sign of its spring changes them by more than 1e-2."""
+    B = chain.blocks
+    chain = replace(chain, tolerance=0.1)
+    S, E, springs = matrices(chain)
+    if wrong:
+        S[0, 0] -= 0.1
+    c = chained(replace(COLD, count=10 * B), programme(chain, speed=1.0), 1)
+    rng = np.random.default_rng(1)
+    X = 1e-4 * rng.standard_normal(B) * (chain.coupling < 1e3)
+    c.population["stretch"] = np.repeat(X, 10)
+    c.blocks.X[:] = X
+    march(c, 0.0, 1.0, 0, STOP)
+    c.now["force"] = X
+    for _ in range(200):
+        step(c, 0.005)
+    assert c.course["time"][0] == pytest.approx(1.0, abs=1e-12)
+    # (X, V, Y, 1)' = A (X, V, Y, 1)
+    zero, one = np.zeros((B, B)), np.eye(B)
+    if chain.mass:
+        A = np.block([[zero, one], [-S / chain.mass, -E / chain.mass]])
+        pull = np.concatenate((np.zeros(B), springs / chain.mass))
+    else:
+        A, pull = np.linalg.solve(E, -S), np.linalg.solve(E, springs)
+    size = len(A)
+    whole = np.zeros((size + 2, size + 2))
+    whole[:size, :size] = A
+    whole[:size, size] = pull
+    whole[size, size + 1] = 1.0
+    begin = np.zeros(size + 2)
+    begin[:B] = X
+    begin[-1] = 1.0
+    known = (linalg.expm(whole) @ begin)[:B]
+    close = np.allclose(c.blocks.X, known, rtol=0.0, atol=2e-4 * np.abs(known).max())
+    assert close != wrong
+
+
+CHAINS = [
+    Chain(4, 20.0, 0.25, damping=0.5, bulk_damping=0.2),
+    Chain(4, 20.0, 0.25, "edge", mass=1.0, load=(1.0, 2.0, 3.0, 2.0)),
+    Chain(4, 2.0, 0.25, edges="periodic", mass=1.0, damping=0.1),
+]
+
+
+@pytest.mark.parametrize("chain", CHAINS, ids=range(len(CHAINS)))
+def test_energy_is_kept(chain):
+    """Work is what springs, masses and contacts store, breaks and dampers take, and the
+    estimate has missed: up to the rounding of some 1e3 steps, 1e-13 of the work. Dampers
+    take eta V^2, up to the missed force."""
+    run = trajectory(HOT, programme(chain, 60.0), points=31, seed=2)
+    work, stored, taken, missed = run.energy.T
+    assert np.abs(work - stored - taken - missed).max() < 1e-13 * work.max()
+    assert np.abs(missed).max() < 0.01 * work.max()
+    assert run.lives > 1.2 * HOT.count
+
+
+def test_stiff_coupling_makes_one_slider():
+    """4 blocks of 100 contacts are one slider of 400, whose contacts have the same
+    random numbers: a difference is that of the steps, of 1e-3 of a threshold."""
+    chain = Chain(4, 1e7, 0.25, damping=0.5, tolerance=1e-4)
+    run = trajectory(HOT, programme(chain), points=21)
+    whole = trajectory(HOT, behind_a_stage(chain), points=21)
+    X = run.blocks["X"].reshape(-1, 4)
+    assert np.ptp(X, axis=1).max() < 1e-6
+    assert pytest.approx(whole.X, abs=2e-3) == run.X
+    soft = replace(chain, coupling=1.0)
+    apart = trajectory(HOT, programme(soft), points=21).blocks["X"].reshape(-1, 4)
+    assert np.ptp(apart, axis=1).max() > 1e-2
+
+
+def test_a_contact_in_each_block_and_loads():
+    chain = Chain(5, 1.0, 0.5, damping=0.5)
+    run = trajectory(replace(HOT, count=5), programme(chain, 60.0), points=11)
+    assert run.blocks["breaks"].max() >= 1
+    assert np.isfinite(run.X).all()
+    loaded = Chain(4, 1.0, 0.5, damping=0.5, load=(1, 1, 2, 4))
+    assert loaded.contacts_of(16).tolist() == [2, 2, 4, 8]
+
+
+def front_speed(chain, stretch, dt=None, give_back=True):
+    """Speed of a front that runs from the released end of a chain whose contacts, of
+    equal thresholds, are stretched; `dt` sets the length of steps."""
+    n = 512
+    contacts = replace(COLD, count=n * chain.blocks)
+    c = chained(contacts, programme(chain, 100.0, 1.0), 1)
+    c = c._replace(links=c.links._replace(fast=1e-3))
+    c.population["stretch"] = stretch
+    c.population["stretch"][: 16 * n] = 0.0
+    c.now["force"] = stretch
+    c.now["force"][:16] = 0.0
+    c.course["Y"] = stretch / chain.drive_stiffness
+    while c.blocks.breaks[-8] < n / 2 and c.course["time"][0] < 60.0:
+        if dt:
+            c.course["dt"] = dt
+        if not give_back:
+            c.blocks.behind[:] = 0.0
+            c.blocks.behind_V[:] = 0.0
+        march(c, 100.0, 0.0, 1, STOP)
+    broke = c.broke[: c.course["rows"][0]]
+    middle = broke[(broke["block"] >= 40) & (broke["block"] < chain.blocks - 12)]
+    return np.polyfit(middle["t"], middle["block"], 1)[0]
+
+
+@pytest.mark.verification
+@pytest.mark.parametrize(
+    ("coupling", "mass", "damping", "speed", "stretch"),
+    [
+        (20.0, 0.0, 1.0, 5.0, 0.75580050),
+        (20.0, 1.0, 1.0, 3.0, 0.71613861),
+        (1.0, 1.0, 0.1, 0.8, 0.66217306),
+    ],
+)
+def test_speed_of_fronts(coupling, mass, damping, speed, stretch):
+    """Fronts of equal thresholds that re-attach at once, against the exact speed at this
+    stretch (Wiener and Hopf), to 2e-3: 512 contacts, steps of finite length, and the way
+    to steady motion."""
+    chain = Chain(96, coupling, 1e-9, mass=mass, damping=damping)
+    assert front_speed(chain, stretch) == pytest.approx(speed, rel=2e-3, abs=0)
+
+
+def test_records_of_a_chain():
+    chain = Chain(2, 1.0, 0.25, damping=0.5)
+    run = trajectory(HOT, programme(chain), points=5, replicas=2)
+    again = trajectory(HOT, programme(chain), points=5, replicas=2, threads=2)
+    assert np.array_equal(run.X, again.X)
+    assert run.blocks["X"].shape == (2 * 5 * 2,)
+    X = run.blocks["X"].reshape(2, 5, 2)
+    assert np.mean(X, axis=(0, 2)) == pytest.approx(run.X, abs=1e-14)
+    assert run.spring == pytest.approx(0.25 * (run.stage - run.X), abs=1e-14)
+    c = chained(HOT, programme(chain), 1)
+    _, pull = pull_of_chain(HOT, programme(chain))
+    alone = follow(c, pull, run.t * pull.pace, STOP, lambda *_: None)
+    assert np.array_equal(alone.records["X"].ravel(), run.blocks["X"][:10])
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ({"blocks": 0}, "blocks = 0: must be"),
+        (
+            {"damping": 0.0},
+            "damping = 0.0: a chain in time has a damping or a mass > 0",
+        ),
+        ({"drive": "both"}, 'edge_stiffness: is required with drive = "both"'),
+        ({"edge_stiffness": 1.0}, 'edge_stiffness: not allowed unless drive = "both"'),
+        ({"edges": "periodic", "drive": "edge"}, 'edges = "periodic": takes 3 blocks'),
+        ({"load": [1.0, 2.0]}, "load: has 2; must be 4 numbers"),
+        ({"load": [1.0, 2.0, 0.0, 1.0]}, "load = 0.0: must be a finite number > 0"),
+        ({"coupling": math.nan}, "coupling = nan: must be"),
+        ({"coupling": 0.0, "drive": "edge"}, "coupling = 0.0: must be > 0 with drive"),
+    ],
+)
+def test_chains_are_refused(what, said):
+    with pytest.raises(InputError) as error:
+        Chain(
+            **{"blocks": 4, "coupling": 1.0, "drive_stiffness": 0.1}
+            | {"damping": 1.0}
+            | what
+        )
+    assert str(error.value).startswith(said)
+
+
+def test_runs_are_refused():
+    chain = Chain(4, 1.0, 0.1, damping=1.0)
+    for contacts, points, said in (
+        (replace(HOT, count=402), 5, "contacts.count = 402: must be a multiple"),
+        (HOT, 6_000_000, "output.points = 6000000: records of all blocks"),
+    ):
+        with pytest.raises(InputError, match=said):
+            trajectory(contacts, programme(chain), points=points)
