@@ -446,12 +446,15 @@ def interface_of(
 
 
 class Instants(NamedTuple):
-    """Times of records, of the edges of batches, and at which a signal may stop a
-    run."""
+    """Times of records, of the edges of batches, and at which a signal may stop a run;
+    those at which segments of the programme end, and the velocity of the plate along
+    them, over the pace."""
 
     records: Array
     edges: Array
     pauses: Array
+    ends: Array
+    speeds: Array
 
 
 def simulate(
@@ -478,9 +481,12 @@ def simulate(
     pin_all(laws, key, way, b, state)
     totals, events = [], []
     of = b.start[:-1]
-    for time in np.unique(np.concatenate(instants)):
+    for time in np.unique(np.concatenate(instants[:-1])):
         before = int(now["breaks"])
-        until = way._replace(until=time)
+        middle = 0.5 * (float(now["time"]) + time)
+        segment = min(np.searchsorted(instants.ends, middle), instants.ends.size - 1)
+        speed = interface.speed * float(instants.speeds[segment])
+        until = way._replace(until=time, speed=speed)
         followed = laws, key, b, interface.response, until, state
         events.append(events_of(AVALANCHE, follow, *followed))
         told(int(now["breaks"]) - before)

@@ -43,7 +43,7 @@ from eqsim.engine.scatter import births, scatter
 from eqsim.engine.trajectory import predicted_lives
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate, drifts, ratio
-from eqsim.model.drive import Drive, Output
+from eqsim.model.drive import Drive, Grid, Output, Programme, Segment
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.compiled import kernel
@@ -204,7 +204,7 @@ def raise_level(
 
 
 def check_elastic(
-    ensemble: Ensemble, drive: Drive, output: Output, max_lives: float
+    ensemble: Ensemble, drive: Drive | Programme, output: Output, max_lives: float
 ) -> tuple[Elastic, float]:
     """Blocks of a run, and its predicted lives. Raises InputError if contacts are not
     those of the quasi-static model, or the run takes too many lives or too much
@@ -233,11 +233,14 @@ def check_elastic(
                 f"{name} = {json.dumps(value)}: must be {json.dumps(allowed)} with "
                 f"[elastic], whose blocks move quasi-statically: {why}"
             )
-    distance = drive.over(ensemble) / ensemble.thresholds.mean
+    if isinstance(drive, Programme):
+        points = drive.grid(points).t.size
+    programme = _programme_of(drive, ensemble)
+    distance = sum(one.path for one in programme.segments) / ensemble.thresholds.mean
     require_number("distance / threshold", distance, least=1e-6, most=1e6)
     lives = ensemble.count * replicas * (1.0 + distance)
-    if ensemble.thermal.active:
-        lives = predicted_lives(ensemble, replace(drive, elastic=None), replicas)
+    if isinstance(drive, Programme) or ensemble.thermal.active or elastic.differ:
+        lives = replicas * _expected(ensemble, programme, elastic)
     require_lives(lives, max_lives)
     if points * elastic.count * replicas > _MOST_RECORDS:
         raise InputError(
@@ -359,26 +362,37 @@ class _WarmInterface(NamedTuple):
 
     @classmethod
     def of(
-        cls, ensemble: Ensemble, drive: Drive, elastic: Elastic, points: int, seed: int
+        cls,
+        ensemble: Ensemble,
+        drive: Drive | Programme,
+        elastic: Elastic,
+        points: int,
+        seed: int,
     ) -> "_WarmInterface":
-        blocks = block_events.interface_of(ensemble, elastic, drive.velocity, seed)
-        distance = drive.over(ensemble)
-        end = distance / ensemble.thresholds.scale
-        times = np.linspace(0.0, end, points)
-        batches = 0.5 * distance / ensemble.thresholds.mean / _SHORTEST_BATCH
-        edges = 1 + int(np.clip(batches, 2, _MOST_BATCHES))
-        lives = predicted_lives(ensemble, replace(drive, elastic=None), 1)
-        between = math.ceil(lives / _BETWEEN_PAUSES)
+        programme = _programme_of(drive, ensemble)
+        segments, grid = programme.segments, _grid_of(drive, ensemble, points)
+        pace = max(segment.velocity for segment in segments)
+        blocks = block_events.interface_of(ensemble, elastic, pace, seed)
+        scale = pace / ensemble.thresholds.scale
+        ends = np.cumsum([segment.duration for segment in segments]) * scale
+        times, end = grid.t * scale, float(ends[-1])
+        last = end - 0.5 * segments[-1].duration * scale
+        moved = 0.5 * (segments[-1].path or 1.0) / ensemble.thresholds.mean
+        edges = 1 + int(np.clip(moved / _SHORTEST_BATCH, 2, _MOST_BATCHES))
+        lives = _expected(ensemble, programme, elastic)
         instants = block_events.Instants(
             times,
-            np.linspace(0.5 * end, end, edges),
-            np.linspace(0.0, end, 1 + between),
+            np.linspace(last, end, edges),
+            np.linspace(0.0, end, 1 + math.ceil(lives / _BETWEEN_PAUSES)),
+            ends,
+            np.array([segment.velocity / pace for segment in segments]),
         )
-        return cls(ensemble.count, blocks, instants, points)
+        return cls(ensemble.count, blocks, instants, times.size)
 
     def begun(self) -> "_WarmInterface":
         zero = np.zeros(1)
-        return self._replace(instants=block_events.Instants(zero, zero, zero), points=1)
+        instants = block_events.Instants(zero, zero, zero, zero, zero)
+        return self._replace(instants=instants, points=1)
 
     def simulate(self, replica: int, told: Callable[[int], None]) -> _Replica:
         records = np.empty((self.points, self.blocks.share.size), BLOCK_STATE)
@@ -388,7 +402,8 @@ class _WarmInterface(NamedTuple):
         impulse, *others = totals.T
         names = ("block", "breaks", "blocks", "by_heat")
         columns = {
-            "D": found["time"],
+            "t": found["time"],
+            "D": found["level"] / self.blocks.speed,
             **{name: found[name] for name in names},
             "drop": found["drop"] / records.shape[1],
             "before": found["before"] / records.shape[1],
@@ -416,9 +431,39 @@ def _blocks_of(elastic: Elastic, n: int) -> Blocks:
     )
 
 
+def _programme_of(drive: Drive | Programme, ensemble: Ensemble) -> Programme:
+    """A constant drive as a programme of one segment."""
+    if isinstance(drive, Programme):
+        return drive
+    segment = Segment(drive.velocity, distance=drive.over(ensemble))
+    return Programme((segment,), elastic=drive.elastic)
+
+
+def _expected(ensemble: Ensemble, programme: Programme, elastic: Elastic) -> float:
+    """Lives of a replica of blocks that move once their springs balance friction."""
+    path = sum(one.path for one in programme.segments)
+    spring = float(np.mean(elastic.springs))
+    friction = 0.5 * ensemble.thresholds.mean
+    share = max(spring / (1.0 + spring), 1.0 - friction / (spring * path))
+    segments = [
+        replace(one, distance=share * one.path, time=None) if one.velocity else one
+        for one in programme.segments
+    ]
+    rigid = replace(programme, segments=tuple(segments), elastic=None)
+    return predicted_lives(ensemble, rigid, 1)
+
+
+def _grid_of(drive: Drive | Programme, ensemble: Ensemble, points: int) -> Grid:
+    """When the blocks are recorded."""
+    if isinstance(drive, Programme):
+        return drive.grid(points)
+    D = np.linspace(0.0, drive.over(ensemble), points)
+    return Grid(D / drive.velocity, D, np.zeros(points, np.int64))
+
+
 def elastic_trajectory(
     ensemble: Ensemble,
-    drive: Drive,
+    drive: Drive | Programme,
     *,
     points: int = 2001,
     seed: int = 1,
@@ -427,19 +472,21 @@ def elastic_trajectory(
     max_lives: float = 1e10,
     progress: Callable[[int], None] | None = None,
 ) -> ElasticTrajectory:
-    """Simulate coupled blocks quasi-statically at T = 0, break by break.
+    """Simulate coupled blocks quasi-statically, break by break.
 
     A plate pulls them from a fresh start: all contacts pinned and unstretched.
 
     Parameters
     ----------
     ensemble : Ensemble
-        N contacts of uniform stiffness at T = 0, without delay and aging.
-    drive : Drive
+        N contacts of uniform stiffness, without delay and aging.
+    drive : Drive or Programme
         Drive of the plate over a distance (length), with the blocks that it pulls
-        (`drive.elastic`); its velocity (length/time) only tells time.
+        (`drive.elastic`); at T = 0 its velocity (length/time) only tells time. Or a
+        programme of velocities >= 0 and holds.
     points : int
-        Number of records, equidistant in the displacement D of the plate from 0.
+        Number of records, equidistant in the displacement D of the plate from 0 and at
+        growing times of holds.
     seed : int
         Seed of the random numbers.
     replicas : int
@@ -460,7 +507,7 @@ def elastic_trajectory(
     Raises
     ------
     InputError
-        For contacts that heat or time breaks, contacts that cannot be divided among the
+        For contacts that time changes, contacts that cannot be divided among the
         blocks, arguments out of range, and more than `max_lives` predicted lives.
 
     Examples
@@ -477,17 +524,18 @@ def elastic_trajectory(
     output = Output(points, seed, replicas)
     elastic, _ = check_elastic(ensemble, drive, output, max_lives)
     unit, count = ensemble.thresholds.scale, ensemble.count
-    kind: type[_Interface | _WarmInterface] = _Interface
-    if elastic.follows_events(ensemble.thermal.active):
-        kind = _WarmInterface
-    interface = kind.of(ensemble, drive, elastic, points, seed)
+    heat = ensemble.thermal.active
+    interface: _Interface | _WarmInterface
+    if isinstance(drive, Programme) or elastic.follows_events(heat):
+        interface = _WarmInterface.of(ensemble, drive, elastic, points, seed)
+    else:
+        interface = _Interface.of(ensemble, drive, elastic, points, seed)
     # Kernels are compiled here, so that seconds are those of the work.
     interruptibly(interface.begun().simulate, 0, lambda _: None)
     begin = time.perf_counter()
     runs = _all(interface, replicas, threads, progress)
     seconds = time.perf_counter() - begin
-    D = np.linspace(0.0, drive.over(ensemble), points)
-    t = np.linspace(0.0, drive.over(ensemble) / drive.velocity, points)
+    t, D, _ = _grid_of(drive, ensemble, points)
     records = np.array([run.records for run in runs])
     # over blocks
     X, force, variance = (records[name].mean(2) for name in ("X", "force", "variance"))
@@ -510,7 +558,12 @@ def elastic_trajectory(
         for name in ("D", "drop", "before"):
             if name in run.avalanches:
                 run.avalanches[name] = run.avalanches[name] * unit
-        events.append({"t": run.avalanches["D"] / drive.velocity, **run.avalanches})
+        if "t" in run.avalanches:  # displacement at the pace of the plate
+            pace = max(one.velocity for one in _programme_of(drive, ensemble).segments)
+            run.avalanches["t"] = run.avalanches["t"] * (unit / pace)
+            events.append(run.avalanches)
+        else:
+            events.append({"t": run.avalanches["D"] / drive.velocity, **run.avalanches})
     blocks = by_replica([_of_blocks(run.records, t, D, unit) for run in runs])
     return ElasticTrajectory(
         D=D,

@@ -260,6 +260,9 @@ class Programme:
         the slider itself.
     chain : Chain, optional
         The programme is that of what pulls a chain of blocks.
+    elastic : Elastic, optional
+        The programme is that of the plate that pulls coupled blocks quasi-statically,
+        forwards (`elastic_trajectory`).
     stall_force : float
         Force s over N k (length), > 0, at which a motor stops that drives the slider,
         or the stage's end of the spring, where its load is F:
@@ -287,6 +290,7 @@ class Programme:
     stall_force: float = math.inf
     rebinding: Rebinding = "unstretched"
     chain: Chain | None = None
+    elastic: Elastic | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "segments", tuple(self.segments))
@@ -312,6 +316,8 @@ class Programme:
         if self.chain is not None and (self.stage is not None or self.motor):
             said = "not with a stage or a motor; its programme is that of what pulls it"
             raise InputError(f"chain: {said}")
+        if self.elastic is not None:
+            self._require_forwards()
         with under("programme"):
             duration = sum(segment.duration for segment in self.segments)
             require_number("time", duration, **POSITIVE)
@@ -334,6 +340,19 @@ class Programme:
             raise InputError(
                 f"{name}: {said} with a force, which pulls the slider itself"
             )
+
+    def _require_forwards(self) -> None:
+        """Raise InputError unless a plate alone pulls blocks, forwards."""
+        if self.pulled_alone or self.loaded:
+            said = "not with a stage, a chain, a motor, a force or a load that changes"
+            raise InputError(f"elastic: {said}")
+        for index, segment in enumerate(self.segments):
+            if segment.velocity < 0:
+                given = f"programme.{index}.velocity = {segment.velocity!r}"
+                raise InputError(f"{given}: must be >= 0 with [elastic]")
+        if not any(segment.velocity for segment in self.segments):
+            said = "no segment moves; blocks begin unstretched"
+            raise InputError(f"programme: {said}")
 
     def _require_loads(self) -> None:
         """Raise InputError where a load cannot change, or falls to 0 or less."""
@@ -365,7 +384,12 @@ class Programme:
 
     @property
     def pulled(self) -> bool:
-        """True if X is found, not given: by a stage, a chain, a force or a motor."""
+        """True if X is found, not given: by a stage, blocks, a force or a motor."""
+        return self.pulled_alone or self.elastic is not None
+
+    @property
+    def pulled_alone(self) -> bool:
+        """The same without the blocks of `elastic`."""
         given = self.stage is None and self.chain is None
         return not given or self.forced or self.motor
 

@@ -294,6 +294,11 @@ def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
     if programme.chain:
         said = "a chain of blocks is simulated by `trajectory` and `eqsim run` alone"
         raise InputError(f"drive.chain: {said}; this needs a rigid slider")
+    if programme.elastic:
+        said = (
+            "coupled blocks are simulated by `elastic_trajectory` and `eqsim run` alone"
+        )
+        raise InputError(f"drive.elastic: {said}; this needs a rigid slider")
     if not programme.pulled:
         raise InputError("drive.stage: is required")
     pace = max(leg.pace for leg in legs(ensemble, programme))

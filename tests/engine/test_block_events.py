@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from command_line import call
 from kernels import compiled
+from scipy import optimize
 
 from eqsim import (
     Aging,
@@ -24,11 +25,13 @@ from eqsim import (
     elastic_trajectory,
     reference,
     trajectory,
+    transient,
     z_score,
 )
 from eqsim.engine import block_events
 from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import draw_birth
+from eqsim.master.chain_creep import creep_velocity
 from eqsim.numerics.streams import TRAJECTORY, key
 
 UNIFORM = {"stiffness_law": "uniform"}
@@ -262,3 +265,90 @@ def test_run_file(tmp_path):
     assert done.exit_code == 0, done.output
     table = pd.read_parquet(swept)
     assert table["friction_reference"].isna().all()
+
+
+def creep(coupling, stretch):
+    """Velocities of 24 rings of 64 contacts of identical thresholds under a constant
+    force `stretch` a contact, b = 10, from 0.3 of 2e5 attempts on. A plate has loaded
+    soft springs at once, whose force falls by 2e-4 of itself."""
+    soft = 1e-5
+    load = Segment(1e8, distance=stretch * (1.0 + soft) / soft, points=1)
+    ring = Elastic(64, coupling, soft, edges="periodic")
+    drive = Programme([load, Segment(time=2e5, points=40)], elastic=ring)
+    contacts = Ensemble(Delta(1.0), Thermal(0.05), count=64, **UNIFORM)
+    found = elastic_trajectory(contacts, drive, points=42, seed=2, replicas=24)
+    X = found.blocks["X"].reshape(24, found.t.size, 64).mean(axis=2)
+    first = np.searchsorted(found.t, 0.3 * 2e5)
+    velocity = (X[:, -1] - X[:, first]) / (found.t[-1] - found.t[first])
+    return velocity.mean(), velocity.std(ddof=1) / np.sqrt(24)
+
+
+@pytest.mark.parametrize(
+    ("coupling", "known", "error"),
+    [
+        (0.0, creep_velocity(0.3, 10.0, coupled=False), 0.0),
+        (10.0, 1.237e-4, 5e-7),
+        (1000.0, 2.176e-4, 7e-7),
+    ],
+)
+def test_creep_below_threshold(coupling, known, error):
+    """Without coupling V = x omega exp(-b(1 - x^2)), and elastic redistribution speeds
+    creep sevenfold (rings of another program, with its error). Negative control: 5 % more
+    force."""
+    velocity, stderr = creep(coupling, 0.3)
+    assert abs(velocity - known) < 4.5 * np.hypot(stderr, error)
+    more, stderr = creep(coupling, 0.315)
+    assert abs(more - known) > 4.5 * np.hypot(stderr, error)
+
+
+def test_force_of_the_edge():
+    """F_e at displacements of the edge, of 64 blocks of 512 contacts at T = 0 beside the
+    same chain of blocks with the exact mean force F(X): scores in the scatter of sums of
+    forces of blocks that have slipped. Negative control: half the coupling."""
+    cold = Ensemble(count=64 * 512, **UNIFORM)
+    mean = transient(cold, Drive(1.0, 4.0), points=401)
+    edge, known = np.array([1.0, 2.0, 3.0]), []
+    for at in edge:
+
+        def balance(X, at=at):
+            whole = np.concatenate(([at], X, X[-1:]))
+            force = np.interp(whole[1:-1], mean.X, mean.force)
+            return 20.0 * np.diff(whole, 2) - force
+
+        X = optimize.root(balance, at * 0.8 ** np.arange(1, 64), method="krylov").x
+        X = np.concatenate(([at], X))
+        slipped = (X > 0.1).sum()
+        force = np.interp(X, mean.X, mean.force).sum()
+        known.append((force, np.sqrt(slipped * 0.2674491 / 512)))
+    force, scatter = np.transpose(known)
+    scores = []
+    for coupling in (20.0, 10.0):
+        chain = Elastic(64, coupling, 50.0, drive="edge")
+        found = pulled(cold, chain, 3.5, points=141)
+        X = found.blocks["X"].reshape(found.D.size, 64)[:, 0]
+        scores.append((64.0 * np.interp(edge, X, found.force) - force) / scatter)
+    assert np.abs(scores[0]).max() < 4.5 < np.abs(scores[1]).min()
+
+
+@pytest.mark.parametrize(
+    ("segments", "more", "said"),
+    [
+        (
+            [Segment(-1.0, distance=1.0)],
+            {},
+            "programme.0.velocity = -1.0: must be >= 0",
+        ),
+        ([Segment(time=1.0)], {}, "no segment moves"),
+        (
+            [Segment(1.0, distance=1.0)],
+            {"stage": Stage(1.0)},
+            "elastic: not with a stage",
+        ),
+    ],
+)
+def test_programmes_that_are_refused(segments, more, said):
+    with pytest.raises(InputError, match=said):
+        Programme(segments, elastic=Elastic(4, 1.0, 0.5), **more)
+    rigid = Programme([Segment(1.0, distance=1.0)], elastic=Elastic(4, 1.0, 0.5))
+    with pytest.raises(InputError, match="simulated by `elastic_trajectory`"):
+        trajectory(WARM, rigid)
