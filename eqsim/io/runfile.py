@@ -295,14 +295,7 @@ class RunFile(Listed):
     def _programme(self) -> Programme:
         given = self.settings["drive"]
         programme, file, stage = map(given.get, ("programme", "file", "stage"))
-        if self["elastic"] is not None:
-            name = next(
-                name
-                for name, value in given.items()
-                if value is not None and name not in ("velocity", "distance", "start")
-            )
-            said = "not allowed with [elastic], whose plate moves at drive.velocity"
-            raise InputError(f"drive.{name}: {said}")
+        elastic = self._section(Elastic, "elastic") if self["elastic"] else None
         if programme is not None and file is not None:
             raise InputError("drive.file: not allowed with drive.programme")
         if file is None and given["record"] is not None:
@@ -347,6 +340,7 @@ class RunFile(Listed):
                 pulled_by,
                 math.inf if stall is None else stall,
                 given["rebinding"] or "unstretched",
+                elastic=elastic,
             )
 
     def _recorded_drive(self) -> RecordedDrive:

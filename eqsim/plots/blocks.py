@@ -24,15 +24,16 @@ _MOST_PIXELS = 1000  # pixels of an image along each side
 def elastic_figure(
     run: "ElasticTrajectory", friction: Estimate, caption: Caption
 ) -> Figure:
-    """Draw F(D) with its error band and the exact mean over displacement; below, how
-    far blocks are apart."""
+    """Draw F(D), or F(t) of a programme with holds, with its error band and the exact
+    mean over displacement; below, how far blocks are apart."""
     figure = Figure(figsize=(8, 5.5))
+    name, along = ("D", run.D) if np.all(np.diff(run.D) > 0.0) else ("time", run.t)
     top, low = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1.0])
-    for label, band in replica_spread(top, run.D, run).items():
+    for label, band in replica_spread(top, along, run).items():
         band.set_label(label)
     scope = "" if run.force_replica_std is not None else " of contacts at the same X"
     label = f"simulated contacts, mean ± 2 standard errors{scope}"
-    draw_band(top, run.D, run.force, 2 * run.force_stderr, label=label)
+    draw_band(top, along, run.force, 2 * run.force_stderr, label=label)
     if friction.value is not None:
         label = "exact mean over displacement, steady sliding"
         top.axhline(friction.value, color="C3", linestyle="--", label=label)
@@ -40,8 +41,8 @@ def elastic_figure(
     caption.beside(top)
     top.set_title(caption.heading)
     top.legend(loc="lower right")
-    low.plot(run.D, _in_space(run, "X").std(axis=1), color="C2")
-    low.set(xlabel=caption.along("D"), xlim=(run.D[0], run.D[-1]), ylim=(0, None))
+    low.plot(along, _in_space(run, "X").std(axis=1), color="C2")
+    low.set(xlabel=caption.along(name), xlim=(along[0], along[-1]), ylim=(0, None))
     low.set_ylabel(caption.unit("standard deviation\nof $X$ between blocks"))
     return figure
 
@@ -100,10 +101,12 @@ def fronts_figure(
     row = slice(ny // 2 * nx, (ny // 2 + 1) * nx)
     beyond, active = X - X.mean(axis=1, keepdims=True), np.diff(breaks, axis=0)
     label = caption.unit("$X$ beyond the mean of all blocks")
-    size = nx, float(run.D[-1])
+    steps = np.diff(run.D)
+    even = np.ptp(steps) < 1e-6 * steps.max()
+    size = nx, float(run.D[-1]) if even else float(run.D.size)
     _image(above[0], beyond[:, row], size, label, spread=True)
     _image(above[1], active[:, row], size, "breaks between two records")
-    plate = caption.length("displacement of the plate  $D$")
+    plate = caption.length("displacement of the plate  $D$") if even else "record"
     for axes in above:
         axes.set(xlabel=f"block of row {ny // 2}" if sheet else "block", ylabel=plate)
     for left, right in below:

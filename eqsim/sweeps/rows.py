@@ -85,10 +85,10 @@ def _point_row(task: Task, asked: Asked, threads: int) -> RowCells:
     }
     sampled = options | {"points": task.points, "replicas": task.replicas}
     try:
-        if isinstance(drive := task.drive, Programme):
-            row = _programme(task, drive, sampled, asked.exact)
-        elif drive.elastic:
+        if (drive := task.drive).elastic:
             row = _elastic(task, drive, sampled)
+        elif isinstance(drive, Programme):
+            row = _programme(task, drive, sampled, asked.exact)
         elif asked.transient:
             run = trajectory(task.ensemble, drive, **sampled)
             row = _averages_row(run.averages, run.lives, [])
@@ -121,16 +121,18 @@ def _steady_cells(
     return row
 
 
-def _elastic(task: Task, drive: Drive, options: RowCells) -> RowCells:
+def _elastic(task: Task, drive: Drive | Programme, options: RowCells) -> RowCells:
     ensemble, blocks = task.ensemble, drive.elastic
     assert blocks
     run = elastic_trajectory(ensemble, drive, **options)
-    exact, friction = reference(ensemble, replace(drive, elastic=None)), run.friction
-    known = not blocks.follows_events(ensemble.thermal.active)
+    friction, known = run.friction, None
+    if isinstance(drive, Drive) and not blocks.follows_events(ensemble.thermal.active):
+        known = reference(ensemble, replace(drive, elastic=None))
     reliable = friction.reliable and run.size.reliable
     row = _status(run.lives, [] if reliable else [_TOO_SHORT])
-    row |= {"reference_method": exact.method}
-    row |= _filled("friction", friction, exact.friction if known else None)
+    if known:
+        row |= {"reference_method": known.method}
+    row |= _filled("friction", friction, known.friction if known else None)
     size = single = None
     law = ensemble.thresholds
     if (

@@ -15,7 +15,7 @@ from eqsim.io.runfile import RunFile
 from eqsim.lazy import lazily
 from eqsim.master.avalanche_sizes import missed_by_few, size_law
 from eqsim.master.steady import reference
-from eqsim.model.drive import Drive
+from eqsim.model.drive import Drive, Programme
 from eqsim.model.elastic import Elastic
 from eqsim.numerics.tables import Array
 from eqsim.workflows.report import Progress, SimulatedFile, Solved
@@ -59,7 +59,8 @@ class ElasticResult(SimulatedFile):
     @property
     def in_time(self) -> bool:
         """True if averages are those over time, and have no exact value."""
-        return self.elastic.follows_events(self.ensemble.thermal.active)
+        programme = isinstance(self.drive, Programme)
+        return programme or self.elastic.follows_events(self.ensemble.thermal.active)
 
     @cached_property
     def starts(self) -> Array:
@@ -166,8 +167,10 @@ class ElasticResult(SimulatedFile):
                 f"{starts.max()} in block {starts.argmax()}"
             )
         if self.in_time:
+            yield "averages: over time, in the second half of the run or of its last segment"
+        if self.in_time and isinstance(self.drive, Drive):
             yield f"a rigid slider has a friction of {self.rigid.value:.6g} at this velocity"
-        else:
+        elif not self.in_time:
             yield (
                 "expected: friction of any number of contacts, avalanches of infinitely "
                 "many; errors: the change for n contacts per block"
@@ -176,7 +179,12 @@ class ElasticResult(SimulatedFile):
 
 
 def run_elastic(
-    file: RunFile, drive: Drive, *, threads: int, max_lives: float, progress: Progress
+    file: RunFile,
+    drive: Drive | Programme,
+    *,
+    threads: int,
+    max_lives: float,
+    progress: Progress,
 ) -> ElasticResult:
     """Simulate a run file whose `drive` has coupled blocks. Raises InputError."""
     ensemble, output = file.ensemble, file.output

@@ -519,7 +519,7 @@ def run(
     """
     file = opened(file, folder)
     ensemble, drive, output = file.ensemble, file.drive, file.output
-    if isinstance(drive, Drive) and drive.elastic:
+    if drive.elastic:
         if workers:
             raise InputError(
                 "--workers, --dask: coupled blocks are simulated in one process; threads share replicas"

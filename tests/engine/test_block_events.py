@@ -352,3 +352,22 @@ def test_programmes_that_are_refused(segments, more, said):
     rigid = Programme([Segment(1.0, distance=1.0)], elastic=Elastic(4, 1.0, 0.5))
     with pytest.raises(InputError, match="simulated by `elastic_trajectory`"):
         trajectory(WARM, rigid)
+
+
+def test_run_file_of_a_programme(tmp_path):
+    """Loading and a hold: averages are those over time of the hold, and pictures stand
+    over time."""
+    start, end = RUN_FILE.index("velocity"), RUN_FILE.index("[elastic]")
+    moves = "[{ velocity = 1.0, distance = 2.0 }, { hold = 50.0 }]"
+    text = f"{RUN_FILE[:start]}programme = {moves}\n{RUN_FILE[end:]}"
+    (tmp_path / "creep.toml").write_text(text)
+    done = call("run", tmp_path / "creep.toml", "--out", tmp_path / "out", "--json")
+    assert done.exit_code == 0, done.output
+    table = pd.read_parquet(tmp_path / "out" / "trajectory.parquet")
+    assert (table["D"][10:] == 2.0).all()
+    assert table["X"].iloc[-1] > table["X"][10]  # creeps on
+    assert table["force"].iloc[-1] < table["force"][10]
+    back = "drive.programme=[{ velocity = -1.0, distance = 2.0 }]"
+    done = call("run", tmp_path / "creep.toml", "--set", back)
+    assert done.exit_code == 2
+    assert "drive.programme.0.velocity = -1.0: must be >= 0" in done.output

@@ -39,7 +39,6 @@ from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import draw_birth
 from eqsim.errors import InputError
 from eqsim.io.export import meaning
-from eqsim.io.runfile import check
 from eqsim.master.avalanche_sizes import missed_by_few, size_law
 from eqsim.materials import OCTAMETHYLCYCLOTETRASILOXANE, STEEL
 from eqsim.numerics.streams import TRAJECTORY, key
@@ -713,8 +712,8 @@ def test_sweeps_of_sheets_are_refused(path, tmp_path):
             "drive.start=stationary",
             'drive.start = "stationary": must be "fresh" with [elastic]',
         ),
-        ("drive.stage.stiffness=0.1", "drive.stage: not allowed with [elastic]"),
-        ("drive.file=x.csv", "drive.file: not allowed with [elastic]"),
+        ("drive.stage.stiffness=0.1", "drive.elastic: not with a stage"),
+        ("drive.stall_force=0.1", "drive.elastic: not with a stage"),
         (
             "output.points=1000000",
             "output.points = 1000000: records of all blocks and replicas",
@@ -767,14 +766,10 @@ def test_python_refuses():
         )
 
 
-def test_a_stage_and_workers_are_refused(path, tmp_path):
+def test_workers_are_refused(path, tmp_path):
     done = call("run", path, "--out", tmp_path / "out", "--workers", "2")
     assert done.exit_code == 2
     assert "coupled blocks are simulated in one process" in done.stderr
-    programme = [{"velocity": 1.0, "distance": 1.0}]
-    section = {"blocks": 2, "coupling": 1.0, "drive_stiffness": 1.0}
-    with pytest.raises(InputError, match=r"drive\.programme: not allowed with"):
-        _ = check({"drive": {"programme": programme}, "elastic": section}).drive
 
 
 # ---- materials ----
