@@ -1,6 +1,5 @@
 """Pictures of borders of stability, of fluctuations, and of a validation."""
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,18 +44,19 @@ def stability_figure(
     if shown.any():
         line |= {"linestyle": "--", "label": "a fresh start jumps below"}
         axes.plot(velocity[shown], fresh[shown], color="C0", **line)
-    if not (known.any() or shown.any()):
-        endless = any(math.isinf(border) for border in critical if border is not None)
-        says = "slips behind any spring" if endless else "smooth behind any spring:"
-        why = "" if endless else "\nno border, neither steady nor from a fresh start"
-        place: dict[str, Any] = {"transform": axes.transAxes, "ha": "center"}
-        axes.text(0.5, 0.8, says + why, **place)
+        low = np.where(known, steady, 0.0)
+        high = np.maximum(np.where(shown, fresh, 0.0), low)
+        axes.fill_between(velocity, low, high, color="C0", alpha=0.12, linewidth=0)
     label = f"this run, {found.verdict}"
     axes.plot([found.velocity], [found.stiffness], "k*", markersize=12, label=label)
     axes.set(xscale="log", yscale="log", xlabel=caption.along("drive.velocity"))
     axes.set_ylabel(caption.along("drive.stage.stiffness"))
     values = np.concatenate((steady[known], fresh[shown], [found.stiffness]))
     axes.set_ylim(0.3 * values.min(), 3.0 * values.max())
+    axes.margins(x=0)
+    axes.text(0.03, 0.95, "smooth", va="top", transform=axes.transAxes)
+    slips = "sticks and slips" if known.any() else "slips at its start"
+    axes.text(0.03, 0.04, slips, transform=axes.transAxes)
     axes.set_title(caption.heading)
     axes.legend(loc="best")
     return figure

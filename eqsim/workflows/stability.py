@@ -25,10 +25,10 @@ _BORDER_DECADES = 1.5  # decades of velocity to either side of the run's
 _BORDER_POINTS = 25  # velocities of the borders
 _ROUNDING = 1e-7  # relative error below which a value is shown without its error
 _FRESH = {
-    "slips": "this run slips",
-    "jumps": "this run jumps, by less than a slip",
-    "slides": "this run does not slip",
-    "undecided": "this run: undecided",
+    "slips": "slips",
+    "jumps": "jumps, by less than a slip",
+    "slides": "does not slip",
+    "undecided": "may slip or not, undecided",
 }
 
 
@@ -59,6 +59,10 @@ class StabilityResult(FileResult):
         return {"border": self.borders}
 
     def figures(self, title: str) -> dict[str, Any]:
+        names = "critical_stiffness", "fresh_critical_stiffness"
+        found = np.array([self.borders[name] for name in names])
+        if not np.any(np.isfinite(found) & (found > 0.0)):
+            return {}  # no border at any velocity
         caption = panels.Caption.of(self.file, title)
         draw = checks.stability_figure
         return {"stability": draw(self.stability, self.borders, caption)}
@@ -78,7 +82,8 @@ class StabilityResult(FileResult):
 
         said = "kappa_s = K/(N k) of this run"
         yield "stiffness", f"{found.stiffness:.6g}", *of(found.stiffness), said
-        verdict = _FRESH[found.fresh_verdict]
+        run = "this run" if self.drive.start == "fresh" else "a fresh start"
+        verdict = f"{run} {_FRESH[found.fresh_verdict]}"
         every: list[tuple[str, Any, str]] = [
             ("fresh start, critical", fresh.critical_stiffness, "kappa_s below which the slider jumps"),
             ("first slip", fresh.slip_stiffness, f"kappa_s below which the jump is a slip; {verdict}"),
