@@ -765,6 +765,11 @@ MISTAKES = [
       "test_units.py::test_a_temperature_is_a_kT"),
     M("plot: neighbours with one name", "plots/sweeps.py", "for digits in range(7, 18):",
       "for digits in range(0):", "test_plot.py::test_where_accepts_what_it_prints"),
+    M("plot: newtons in the place of the coefficient", "plots/sweeps.py",
+      "found._replace(factor=found.factor / drawn[0].factor)", "found",
+      "test_plot.py::test_a_sweep_knows_its_title_units_and_curve"),
+    M("plot: titles as long as they are", "plots/sweeps.py", "title = wrapped(title, 0.75 * (width or 9.0))",
+      "pass", "test_plot.py::test_two_columns_of_a_table_on_a_column_of_a_page"),
     M("plot: a curve of the wrong temperature", "plots/sweeps.py", "file = _point(sweep, row, more)",
       "file = at(sweep.file, more)", "test_plot.py::test_a_sweep_knows_its_title_units_and_curve"),
     # grid
