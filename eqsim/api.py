@@ -35,6 +35,7 @@ from eqsim.laws.thermal import Pathway, Thermal
 from eqsim.laws.threshold import Delta, Distribution, Gamma, Table
 from eqsim.laws.viscosity import Viscosity
 from eqsim.master import bursts as _bursts
+from eqsim.master import chain_modes as _chain_modes
 from eqsim.master import closure as _closure
 from eqsim.master import lifetimes as _lifetimes
 from eqsim.master import stability as _stability
@@ -42,6 +43,7 @@ from eqsim.master import steady as _exact
 from eqsim.master import transient as _transient
 from eqsim.master.bursts import Bursts
 from eqsim.master.chain_fronts import front_prestress, front_speed
+from eqsim.master.chain_modes import Modes
 from eqsim.master.chains import Precursors, edge_load, precursors
 from eqsim.master.closure import Closure
 from eqsim.master.lifetimes import Lifetime
@@ -85,6 +87,7 @@ __all__ = [
     "Interface",
     "Lifetime",
     "Lognormal",
+    "Modes",
     "Newborn",
     "NoThresholds",
     "Normal",
@@ -118,6 +121,7 @@ __all__ = [
     "Weibull",
     "breaks",
     "bursts",
+    "chain_modes",
     "closure",
     "curve",
     "edge_load",
@@ -148,6 +152,7 @@ __all__ = [
 # these take a run file, too, in the place of contacts and a drive
 breaks = calls.accepts_run_file(_breaks.breaks)
 bursts = calls.accepts_run_file(_bursts.bursts, calls.many_sizes, output=())
+chain_modes = calls.accepts_run_file(_chain_modes.chain_modes)
 closure = calls.accepts_run_file(_closure.closure)
 curve: calls.CurveCall = cast(
     Any, calls.accepts_run_file(_exact.curve, calls.swept_velocities)

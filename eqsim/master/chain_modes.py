@@ -10,16 +10,19 @@ arccos(1 - (kappa_c - K_d)/(2 K)), kappa_c being the critical stiffness of the s
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from scipy import optimize
+from scipy import linalg, optimize
 
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate
-from eqsim.master.characteristic import Loop, border_of, root_of, roots_from
-from eqsim.master.stability import NEUTRAL, SteadyPull
+from eqsim.master.characteristic import NO_VALUE, Loop, border_of, root_of, roots_from
+from eqsim.master.stability import NEUTRAL, pulled_by
+from eqsim.model.chain import Chain
+from eqsim.model.drive import Programme, Stage
+from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
 
@@ -29,6 +32,8 @@ _WAVE_NUMBERS = 25
 _FROM_BORDER = 5
 # Growth per cycle from which others are found that do not oscillate.
 _REAL_ROOTS = np.geomspace(0.1, 30.0, 8)
+# Stiffness that stands for none, with which q = 0 would be neutral.
+_FAINT = 1e-9
 # Wave numbers end at the critical one or at that of plate springs, times this.
 _BEYOND = 3.0
 
@@ -48,6 +53,11 @@ class Modes(Result):
         none grows of the slowest; NaN where it decays within a fraction of a cycle.
     critical_wave_number : Estimate
         q_c, below which modes grow; 0 where none does, without a value where all do.
+    lowest : float
+        q of the softest mode of this chain: 0 where a plate pulls it, pi/(2 B) or less
+        where a spring pulls its edge.
+    slowest : Estimate
+        Rate of growth of that mode (1/time).
     """
 
     drawn: ClassVar[Drawn] = Drawn(
@@ -62,6 +72,19 @@ class Modes(Result):
     growth_error: Array
     frequency: Array
     critical_wave_number: Estimate
+    lowest: float
+    slowest: Estimate
+
+    @property
+    def verdict(self) -> str:
+        """Verdict on this chain: "stable", "unstable", or "undecided" where the error
+        is too large."""
+        growth, error = self.slowest.value, self.slowest.stderr or 0.0
+        if growth is None:  # it decays at once
+            return "stable"
+        if abs(growth) <= 2.0 * error:
+            return "undecided"
+        return "unstable" if growth > 0.0 else "stable"
 
 
 class _Links(NamedTuple):
@@ -103,25 +126,61 @@ def _root(loop: Loop, stiffness: float, damping: float, near: complex) -> comple
 
 
 def chain_modes(
-    pulled: SteadyPull,
-    coupling: float,
-    bulk_damping: float = 0.0,
-    wave_numbers: Array | None = None,
+    ensemble: Ensemble, drive: Programme, wave_numbers: Array | None = None
 ) -> Modes:
-    """Solve for the growth of perturbations cos(q j) e^(p t) of a chain that slides
-    steadily.
+    """Solve for the growth of perturbations cos(q j) e^(p t) of a chain of blocks that
+    slides steadily (derived):
 
-    The stage of `pulled` has the spring K_d of a block to the plate, its damping and
-    its mass, over n k; `coupling` is K/(n k), and `bulk_damping` alpha/(n k) (time) of
-    the difference of neighbours' velocities. `wave_numbers`, 0 to pi, default to 25 up
-    to three times the critical one. Raises InputError as `eqsim.stability` does, for
-    contacts that amplify and damp nothing, and where q = 0 has no slow mode."""
-    require_number("coupling", coupling, least=1e-9, most=1e9)
-    require_number("bulk_damping", bulk_damping, least=0.0, most=1e9)
+        M p^2 + eta p + (K + alpha p)(2 - 2 cos q) + K_d + Z(p) = 0,
+
+    Z being the response of a rigid slider.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    drive : Programme
+        With a chain and one segment (velocity in length/time); how it starts does not
+        matter. K_d is 0 where only the edge is pulled.
+    wave_numbers : array_like, shape (wave_numbers,), optional
+        q from 0 to pi; by default 25 up to three times the critical one.
+
+    Returns
+    -------
+    Modes
+
+    Raises
+    ------
+    InputError
+        As `stability` does; for blocks of unequal load; for bulk damping where the edge
+        is pulled; and for contacts that amplify and damp nothing.
+
+    Examples
+    --------
+    >>> from eqsim import Chain, Delay, Ensemble, Programme, Segment, chain_modes
+    >>> chain = Chain(50, coupling=0.5, drive_stiffness=0.02, damping=0.03)
+    >>> drive = Programme([Segment(3.0, distance=1.0)], chain=chain)
+    >>> found = chain_modes(Ensemble(delay=Delay(1.0)), drive)
+    >>> found.verdict, f"{found.critical_wave_number.value:.6f}"
+    ('unstable', '2.245651')
+    """
+    chain = drive.chain if isinstance(drive, Programme) else None
+    if chain is None:
+        raise InputError("drive: must have a chain of blocks")
+    if chain.load and min(chain.load) < max(chain.load):
+        raise InputError("chain.load: must be even, as modes are those of equal blocks")
+    if chain.drive != "plate" and chain.bulk_damping:
+        said = "must be 0 where the edge is pulled, which modes are then not known"
+        raise InputError(f"chain.bulk_damping = {chain.bulk_damping:g}: {said}")
+    require_number("chain.coupling", chain.coupling, least=1e-9)
+    K_d = 0.0 if chain.drive == "edge" else chain.drive_stiffness
+    stage = Stage(chain.drive_stiffness, damping=chain.damping, mass=chain.mass)
+    pulled = pulled_by(ensemble, replace(drive, chain=None, stage=stage))
     if pulled.method == NEUTRAL:
         raise InputError(f"chain: {NEUTRAL}")
-    rate = pulled.velocity / pulled.ensemble.thresholds.scale
-    springs = _Links(pulled.stage.stiffness, coupling, bulk_damping * rate)
+    rate = pulled.velocity / ensemble.thresholds.scale
+    coupling = chain.coupling
+    springs = _Links(max(K_d, _FAINT), coupling, chain.bulk_damping * rate)
+    lowest = _lowest(chain, K_d)
     fine, coarse, scan = pulled.loops()
     border = border_of(coarse, scan)
     last = _BEYOND * math.sqrt(max(border.stiffness, springs.plate) / coupling)
@@ -129,7 +188,7 @@ def chain_modes(
     asked = grid if wave_numbers is None else np.asarray(wave_numbers, float)
     if asked.ndim != 1 or not np.all((asked >= 0.0) & (asked <= math.pi)):
         raise InputError("wave_numbers: must be numbers from 0 to pi, shape (n,)")
-    every, middle = np.union1d(grid, asked), 0
+    every, middle = np.union1d(grid, np.append(asked, lowest)), 0
     if 0.0 < border.stiffness < math.inf:
         # from the border on either way: there the root oscillates, and is one of a pair
         bend = 2.0 - 2.0 * np.cos(every)
@@ -147,7 +206,8 @@ def chain_modes(
     below = springs.followed(coarse, every[middle::-1], first)[:0:-1]
     roots = below + springs.followed(coarse, every[middle:], first)
     rough = np.array(roots)
-    q, near = asked.tolist(), rough[np.searchsorted(every, asked)].tolist()
+    seen = np.append(asked, lowest)
+    q, near = seen.tolist(), rough[np.searchsorted(every, seen)].tolist()
     p = np.array([springs.root(fine, *each) for each in zip(q, near, strict=True)])
     error = np.abs(p - near) + 1e-9 * np.abs(p)
     critical = Estimate(0.0, 0.0, 0)
@@ -165,4 +225,27 @@ def chain_modes(
                 for loop in (fine, coarse)
             ]
             critical = Estimate(found[0], abs(found[0] - found[1]) + 1e-9, 0)
-    return Modes(asked, rate * p.real, rate * error, rate * p.imag, critical)
+    slowest = NO_VALUE
+    if not math.isnan(p.real[-1]):
+        slowest = Estimate(rate * float(p.real[-1]), rate * float(error[-1]), 0)
+    growth, missed, frequency = (
+        rate * p.real[:-1],
+        rate * error[:-1],
+        rate * p.imag[:-1],
+    )
+    return Modes(asked, growth, missed, frequency, critical, lowest, slowest)
+
+
+def _lowest(chain: Chain, K_d: float) -> float:
+    """Wave number of the softest mode of a chain of B blocks, whose springs, those of
+    the edge included, have the stiffness K_d + K (2 - 2 cos q)."""
+    if chain.drive == "plate":
+        return 0.0
+    diagonal = np.full(chain.blocks, 2.0 * chain.coupling)
+    diagonal[[0, -1]] -= chain.coupling
+    if chain.blocks == 1:
+        diagonal[0] = 0.0
+    diagonal += chain.springs - K_d
+    beside = np.full(chain.blocks - 1, -chain.coupling)
+    softest = linalg.eigvalsh_tridiagonal(diagonal, beside, "i", (0, 0))[0]
+    return 2.0 * math.asin(min(math.sqrt(softest / chain.coupling) / 2.0, 1.0))

@@ -155,7 +155,7 @@ def calls():
 def test_what_takes_contacts_or_a_file_takes_changes():
     taking = {name: set(one) for name, one in calls().items()}
     contacts = {name for name, given in taking.items() if "ensemble" in given}
-    assert len(contacts) == 13
+    assert len(contacts) == 14
     for name, given in taking.items():
         changed = name in contacts or "file" in given or name == "load"
         assert ("changes" in given) == changed, name
