@@ -334,8 +334,8 @@ def _estimate(c: Chained, dt: float, speed: float) -> tuple[float, float]:
             V = b.V[j] + b.made_up_V[j]
             b.next_V[j] = V + (moved / dt - V) / _theta(links, c.now[j], j, dt)
         else:
-            b.next_V[j] = b.dX[j] / dt
-        largest = max(largest, abs(b.dX[j]))
+            b.next_V[j] = (b.dX[j] if links.free else moved) / dt
+        largest = max(largest, abs(b.dX[j] if links.free else moved))
     return largest, off
 
 
@@ -376,13 +376,18 @@ def _follow(c: Chained, dt: float, first: int, last: int) -> None:
 @routine
 def _fall_behind(c: Chained, dt: float, off: float) -> None:
     """Find what is left to make up for after a step, whose estimate `missed` forces at
-    its end, and before in proportion to time."""
+    its end. In a free chain it did so before in proportion to time, as for a slider; in
+    a coupled one the times of breaks tell the impulse that it has missed."""
     links, b, s = c.links, c.blocks, c.course[0]
     lag = b.lag
     for j in range(lag.size):
-        lag[j] = -0.5 * b.missed[j]
+        missed = b.missed[j]
+        if not links.free:
+            expected = _rho(c, j) * b.dX[j] + _r(b, j) * dt
+            missed = -2.0 * c.then[j].impulse / dt - expected
+        lag[j] = -0.5 * missed
         b.net[j] = 0.0
-        b.gain[j] = -b.missed[j] / dt
+        b.gain[j] = -missed / dt
     if links.mass > 0.0:
         _solve(links, b, off, lag)
     else:

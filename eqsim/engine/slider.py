@@ -93,11 +93,12 @@ class Sums(NamedTuple):
     scatter: float  # squares of the forces at breaking
     lost: float  # energy of broken contacts, less that of newborn ones
     breaks: float
+    impulse: float  # force of breaks times what is left of the piece then, less births
 
 
 # Powers in which stiffness and length enter the sums.
-_OF_STIFFNESS = np.array(Sums(0, 1, 1, 2, 1, 1, 1, 2, 1, 0))
-_OF_LENGTH = np.array(Sums(0, 0, 1, 2, 2, 1, 1, 2, 2, 0))
+_OF_STIFFNESS = np.array(Sums(0, 1, 1, 2, 1, 1, 1, 2, 1, 0, 1))
+_OF_LENGTH = np.array(Sums(0, 0, 1, 2, 2, 1, 1, 2, 2, 0, 2))
 SUMS = np.dtype([(name, np.float64) for name in Sums._fields])
 
 
@@ -175,6 +176,7 @@ def _follow_contact(
                     sums.by_motion -= force
                 else:
                     sums.by_heat -= force
+                sums.impulse -= force * left
                 sums.lost -= 0.5 * force * born
         y = piece.direction * contact.stretch
         stiffness = kappa(laws.springs, contact.threshold)
@@ -198,6 +200,7 @@ def _follow_contact(
         contact.time_to_pinning = _delay(laws, key, number, contact)
         contact.pinned = False
         left = max(left - broke, 0.0)
+        sums.impulse += force * left
     contact.clock = clock
     contact.time_since_birth += left
     contact.stretch = piece.direction * (y + piece.speed * left)

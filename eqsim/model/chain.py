@@ -85,7 +85,7 @@ class Chain:
     bulk_damping: float = 0.0
     load: tuple[float, ...] | None = None
     edges: Edges = "open"
-    tolerance: float = 1e-3
+    tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
         require_integer("blocks", self.blocks, 1, _MOST_BLOCKS)

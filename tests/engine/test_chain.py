@@ -26,6 +26,7 @@ from eqsim import (
 from eqsim.engine.chain import chained, follow, pull_of_chain
 from eqsim.engine.chain_steps import march
 from eqsim.engine.slider import Slider
+from eqsim.master.chain_fronts import front_prestress
 
 HOT = Ensemble(thermal=Thermal(0.1), delay=Delay(1.0), count=400)
 # heat that never breaks a contact
@@ -224,21 +225,26 @@ def front_speed(chain, stretch, dt=None, give_back=True):
     return np.polyfit(middle["t"], middle["block"], 1)[0]
 
 
+@pytest.mark.parametrize("give_back", [True, False], ids=["", "control"])
+def test_front_in_long_steps(give_back):
+    """6 steps for each block that a front passes: the impulse that estimates miss is
+    given back, without which the speed is 2 % off."""
+    chain = Chain(96, 20.0, 1e-9, damping=1.0, tolerance=1e-3)
+    stretch = front_prestress(5.0, 20.0, damping=1.0).value
+    found = front_speed(chain, stretch, 0.033, give_back)
+    assert (found == pytest.approx(5.0, rel=1e-3, abs=0)) == give_back
+
+
 @pytest.mark.verification
-@pytest.mark.parametrize(
-    ("coupling", "mass", "damping", "speed", "stretch"),
-    [
-        (20.0, 0.0, 1.0, 5.0, 0.75580050),
-        (20.0, 1.0, 1.0, 3.0, 0.71613861),
-        (1.0, 1.0, 0.1, 0.8, 0.66217306),
-    ],
-)
-def test_speed_of_fronts(coupling, mass, damping, speed, stretch):
+@pytest.mark.parametrize(("mass", "speed"), [(0.0, 5.0), (1.0, 3.0)])
+def test_speed_of_fronts(mass, speed):
     """Fronts of equal thresholds that re-attach at once, against the exact speed at this
-    stretch (Wiener and Hopf), to 2e-3: 512 contacts, steps of finite length, and the way
-    to steady motion."""
-    chain = Chain(96, coupling, 1e-9, mass=mass, damping=damping)
-    assert front_speed(chain, stretch) == pytest.approx(speed, rel=2e-3, abs=0)
+    stretch, to 1e-3: contacts are 512 in a block, steps of finite length. Masses with
+    less damping swing so far that their blocks break again, which is not in the exact
+    speed."""
+    chain = Chain(96, 20.0, 1e-9, mass=mass, damping=1.0)
+    stretch = front_prestress(speed, 20.0, mass=mass, damping=1.0).value
+    assert front_speed(chain, stretch) == pytest.approx(speed, rel=1e-3, abs=0)
 
 
 def test_records_of_a_chain():
