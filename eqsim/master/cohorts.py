@@ -562,3 +562,35 @@ def march(contacts: Any, path: CohortPath) -> History:
         count = advance_all(contacts, path, cohorts, history, m, count, rate)
         observe(cohorts, count, path.X[m], history, m)
     return history
+
+
+class BlockState(NamedTuple):
+    """Contacts of a block of a chain at an edge: cohorts, their number, births per unit time
+    before the path began, and the stiffness of those pinned."""
+
+    cohorts: Cohorts
+    kept: int
+    rate: float
+    stiffness: float
+
+
+@kernel
+def begin_block(contacts: Any, path: CohortPath, history: History) -> BlockState:
+    """Block at the beginning of a path."""
+    cohorts = empty(contacts.nodes.size, 256 + path.cohorts)
+    count, rate = begin(contacts, path, cohorts)
+    stiffness = observe(cohorts, count, path.X[0], history, 0)
+    return BlockState(cohorts, count, rate, stiffness)
+
+
+@kernel
+def advanced_block(
+    contacts: Any, path: CohortPath, block: BlockState, history: History, m: int
+) -> BlockState:
+    """Block after step m, whose end `path` has already; a copy, as the step may be
+    tried again."""
+    count, rows = block.kept, block.cohorts.order.size
+    after = with_room(block.cohorts, count, 2 * count if count == rows else rows)
+    kept = advance_all(contacts, path, after, history, m, count, block.rate)
+    stiffness = observe(after, kept, path.X[m], history, m)
+    return BlockState(after, kept, block.rate, stiffness)
