@@ -306,7 +306,7 @@ def test_given_steps_make_predictions_smooth():
         given, own, rtol=1e-12, atol=0
     )  # rounding, 1e-16 in each of some hundred steps
     assert change(problem, 1) < 2e-3
-    assert change(rough, 1) > 1e-2
+    assert change(rough, 1) > 2e-3  # which own steps do not keep
     far = {"drive.stage.stiffness": 0.05, "aging.beta": 0.5}
     own, given = (one.forward.predict(far)[0] for one in (rough, problem))
     # steps that are given may miss 30 times what others do, 2e-4 of a threshold each
