@@ -92,6 +92,7 @@ def run(
     with shown.bar("simulating", "lives") as progress:
         how: dict[str, Any] = {"max_lives": work.max_lives, "progress": progress}
         how |= {"exact": not work.no_exact, "threads": count, "workers": workers}
+        how["keep"] = folder
         found = running.run(file, **how)
     shown.doubt(file, file.drive)
     for line in file.said:

@@ -27,6 +27,7 @@ from scipy.sparse.linalg import splu
 from eqsim.engine.avalanches import events_of
 from eqsim.engine.contacts import Contacts
 from eqsim.engine.contacts import contacts as laws_of
+from eqsim.engine.keeping import Keep, State
 from eqsim.engine.lanes import draw_birth
 from eqsim.engine.lattice import (
     LEAF,
@@ -54,6 +55,7 @@ _LEAST_SHARE = 1e-290  # q_j of a block that the plate does not move
 _MOST_NUMBERS = 1e8  # of a response: 1 GB of memory
 _BEYOND = 1.0 + 1e-9  # factor on bounds, for their rounding
 _OVER = 1.25  # factor on the greatest of three pooled rates
+_CONSTANT = ("start", "share", "kept")  # of blocks
 _AHEAD = 0.5  # e-folds of the rate of a contact between a wall and the next
 
 # The run so far, and the avalanche that goes on.
@@ -463,12 +465,14 @@ def simulate(
     instants: Instants,
     records: Array,
     told: Callable[[int], None],
+    keep: Keep | None = None,
 ) -> tuple[Array, Array]:
     """Follow a replica, and fill its `records`, `BLOCK_STATE`s of shape (times, B).
-    `told` gets the number of breaks since, now and then. Returns time, its integral of
-    the force of a contact, breaks, avalanches and single breaks at the edges of
-    batches, shape (edges, 5), and avalanches, `AVALANCHE`s. Raises InputError for a rate
-    that is greatest between two stretches."""
+    `told` gets the number of breaks since, now and then; `keep` the state, from which
+    a replica that was stopped goes on. Returns the integral of the force of a contact
+    over time, time, breaks, avalanches and single breaks at the edges of batches, shape
+    (edges, 5), and avalanches, `AVALANCHE`s. Raises InputError for a rate that is
+    greatest between two stretches."""
     laws, key, contacts = interface.laws, interface.key, interface.contacts
     n, count = contacts.mean(), int(contacts.sum())
     b = _blocks_of(interface)
@@ -479,9 +483,22 @@ def simulate(
     state = np.zeros(1, STATE)
     now = state[0]
     pin_all(laws, key, way, b, state)
-    totals, events = [], []
+    totals: list[Array] = []
+    events: list[Array] = []
     of = b.start[:-1]
-    for time in np.unique(np.concatenate(instants[:-1])):
+    changing = {
+        name: array for name, array in b._asdict().items() if name not in _CONSTANT
+    }
+    run = State(
+        {**changing, "state": state, "records": records},
+        {"totals": totals},
+        {"events": events},
+    )
+    done = run.restore(keep, replica)
+    told(int(now["breaks"]))
+    for index, time in enumerate(np.unique(np.concatenate(instants[:-1]))):
+        if index < done:
+            continue
         before = int(now["breaks"])
         middle = 0.5 * (float(now["time"]) + time)
         segment = min(np.searchsorted(instants.ends, middle), instants.ends.size - 1)
@@ -506,8 +523,9 @@ def simulate(
             row["breaks"] = b.breaks
         if time in instants.edges:
             names = "impulse", "time", "breaks", "avalanches", "singles"
-            totals.append([now[name] for name in names])
-    sums = np.array(totals, float)
+            totals.append(np.array([float(now[name]) for name in names]))
+        run.save(keep, replica, index + 1)
+    sums = np.array(totals)
     sums[:, 0] /= contacts.size
     return sums, np.concatenate(events)
 

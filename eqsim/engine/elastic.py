@@ -29,6 +29,7 @@ from eqsim.engine import block_events
 from eqsim.engine.avalanches import events_of, put_back
 from eqsim.engine.blocks import require_lives
 from eqsim.engine.contacts import Contacts, contacts
+from eqsim.engine.keeping import Keep, State
 from eqsim.engine.lanes import draw_birth
 from eqsim.engine.lattice import (
     LEAF,
@@ -310,8 +311,11 @@ class _Interface(NamedTuple):
         few = self.elastic.count
         return self._replace(contacts=few, levels=levels, edges=none, pauses=none)
 
-    def simulate(self, replica: int, told: Callable[[int], None]) -> _Replica:
-        """Follow a replica. `told` gets the number of breaks since, now and then."""
+    def simulate(
+        self, replica: int, told: Callable[[int], None], keep: Keep | None = None
+    ) -> _Replica:
+        """Follow a replica. `told` gets the number of breaks since, now and then, `keep`
+        its state."""
         laws, key, count, elastic, response, levels, edges, pauses = self
         n = count // elastic.count
         first = replica * count
@@ -319,8 +323,15 @@ class _Interface(NamedTuple):
         pin_all(laws, key, first, response.unit, b)
         state = np.zeros(1, _PROGRESS)
         now = state[0]
-        records, totals, events = [], [], []
-        for level in np.unique(np.concatenate((levels, edges, pauses))):
+        records: list[Array] = []
+        totals: list[Array] = []
+        events: list[Array] = []
+        rows = {"records": records, "totals": totals}
+        run = State({**b._asdict(), "state": state}, rows, {"events": events})
+        done = run.restore(keep, replica)
+        told(int(now["breaks"]))
+        every = np.unique(np.concatenate((levels, edges, pauses)))
+        for index, level in enumerate(every[done:], done):
             before = int(now["breaks"])
             loaded = laws, key, first, b, response, state, level
             events.append(events_of(_BLOCK_AVALANCHE, raise_level, *loaded))
@@ -339,15 +350,16 @@ class _Interface(NamedTuple):
                 stored = 0.5 * (n * X**2 - 2.0 * X * b.births + b.squares)
                 area = (now["work"] + stored.sum()) / n
                 counts = (now[name] for name in ("breaks", "avalanches", "singles"))
-                totals.append((area, X.sum(), *counts))
+                totals.append(np.array((area, X.sum(), *counts), float))
+            run.save(keep, replica, index + 1)
         batches = _Totals(*np.reshape(totals, (-1, 5)).T)
-        every, share = np.concatenate(events), 1.0 - elastic.branching
+        found, share = np.concatenate(events), 1.0 - elastic.branching
         # Force is lost by breaks and gained by the motion that they cause: what is left of
         # the loss is the share of the plate's motion that blocks follow at once.
         columns = {
-            "D": every["level"] / share,
-            **{name: every[name] for name in ("block", "breaks", "blocks")},
-            "drop": every["released"] * (share / count),
+            "D": found["level"] / share,
+            **{name: found[name] for name in ("block", "breaks", "blocks")},
+            "drop": found["released"] * (share / count),
         }
         return _Replica(np.array(records), batches, columns, int(now["breaks"]))
 
@@ -394,10 +406,12 @@ class _WarmInterface(NamedTuple):
         instants = block_events.Instants(zero, zero, zero, zero, zero)
         return self._replace(instants=instants, points=1)
 
-    def simulate(self, replica: int, told: Callable[[int], None]) -> _Replica:
+    def simulate(
+        self, replica: int, told: Callable[[int], None], keep: Keep | None = None
+    ) -> _Replica:
         records = np.empty((self.points, self.blocks.share.size), BLOCK_STATE)
         totals, found = block_events.simulate(
-            self.blocks, replica, self.instants, records, told
+            self.blocks, replica, self.instants, records, told, keep
         )
         impulse, *others = totals.T
         names = ("block", "breaks", "blocks", "by_heat")
@@ -522,7 +536,23 @@ def elastic_trajectory(
     True
     """
     output = Output(points, seed, replicas)
-    elastic, _ = check_elastic(ensemble, drive, output, max_lives)
+    check_elastic(ensemble, drive, output, max_lives)
+    return simulate_blocks(ensemble, drive, output, threads, progress)
+
+
+def simulate_blocks(
+    ensemble: Ensemble,
+    drive: Drive | Programme,
+    output: Output,
+    threads: int,
+    progress: Callable[[int], None] | None,
+    keep: Keep | None = None,
+) -> ElasticTrajectory:
+    """Simulate `elastic_trajectory` of what `check_elastic` has not refused; `keep` is
+    where the states of its replicas are, if a run that was stopped is to go on."""
+    elastic, points = drive.elastic, output.points
+    seed, replicas = output.seed, output.replicas
+    assert elastic
     unit, count = ensemble.thresholds.scale, ensemble.count
     heat = ensemble.thermal.active
     interface: _Interface | _WarmInterface
@@ -533,7 +563,19 @@ def elastic_trajectory(
     # Kernels are compiled here, so that seconds are those of the work.
     interruptibly(interface.begun().simulate, 0, lambda _: None)
     begin = time.perf_counter()
-    runs = _all(interface, replicas, threads, progress)
+    lives = count * replicas
+
+    def told(breaks: int) -> None:
+        nonlocal lives
+        lives += breaks
+        if pool.stop[0]:
+            raise CancelledError
+        if progress:
+            progress(lives)
+
+    with ThreadPool(max(1, threads)) as pool:
+        follow = partial(interface.simulate, told=told, keep=keep)
+        runs = list(pool.map(follow, range(replicas)))
     seconds = time.perf_counter() - begin
     t, D, _ = _grid_of(drive, ensemble, points)
     records = np.array([run.records for run in runs])
@@ -584,27 +626,6 @@ def elastic_trajectory(
         engine_seconds=seconds,
         threads=max(1, min(threads, replicas)),
     )
-
-
-def _all(
-    interface: _Interface | _WarmInterface,
-    replicas: int,
-    threads: int,
-    progress: Callable[[int], None] | None,
-) -> list[_Replica]:
-    """Hand replicas to threads as these become free."""
-    lives = interface.contacts * replicas
-
-    def told(breaks: int) -> None:
-        nonlocal lives
-        lives += breaks
-        if pool.stop[0]:
-            raise CancelledError
-        if progress:
-            progress(lives)
-
-    with ThreadPool(max(1, threads)) as pool:
-        return list(pool.map(partial(interface.simulate, told=told), range(replicas)))
 
 
 def _estimates(

@@ -1,9 +1,7 @@
 """Fits: from a run file with a [fit] section to a `FitResult`."""
 
-import hashlib
 import math
 import shutil
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -32,7 +30,6 @@ from eqsim.io.runfile import RunFile, at, opened, path_of
 from eqsim.laws.barrier import BARRIERS
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
-from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps.workers import Workers
 
 # p below which a model is rejected.
@@ -48,8 +45,6 @@ _AT_BOUND = 1e-3
 _MOST_FITS = 3
 # Rounds in which residuals give the correlation of errors.
 _WHITENED = 2
-# Seconds after which results of a fit that was stopped are removed: 30 days.
-_FORGOTTEN_SECONDS = 30 * 86400.0
 
 # Status of a key whose profile has not been followed yet.
 NOT_PROFILED = "profile to come"
@@ -494,7 +489,9 @@ def fit(
     if isinstance(keep, str | Path):
         keep = Keep(Path(keep))
     if keep is not None:
-        unfinished = _unfinished_folder(keep.folder, file, prepared, every)
+        digest, points = prepared.table.sha256, str(np.array(every).tobytes())
+        settings = storage.to_json(file.settings)
+        unfinished = storage.unfinished(keep.folder, settings, digest, points)
     with Workers(workers).executor() as executor:
         tasks = Tasks(executor, unfinished, workers)
         told = (lambda result: None) if keep is None else keep.estimated
@@ -502,21 +499,6 @@ def fit(
         if unfinished is not None:
             shutil.rmtree(unfinished, ignore_errors=True)
         return result
-
-
-def _unfinished_folder(
-    out: Path, file: RunFile, prepared: Prepared, every: list[Array]
-) -> Path:
-    """The folder for results of a fit that may be stopped, named by a digest of all
-    that its numbers depend on, and of the release of eqsim, whose pickled objects are
-    kept. Folders that no fit has added to for long are removed."""
-    for old in out.glob(".unfinished-*"):
-        if time.time() - old.stat().st_mtime > _FORGOTTEN_SECONDS:
-            shutil.rmtree(old, ignore_errors=True)
-    release, digest = storage.versions()["eqsim"], prepared.table.sha256
-    parts = [release, str(RESULTS_VERSION), storage.to_json(file.settings), digest]
-    content = " ".join(parts).encode() + np.array(every).tobytes()
-    return out / f".unfinished-{hashlib.sha256(content).hexdigest()[:16]}"
 
 
 def _singular(problem: Problem, allowed: bool) -> list[str]:

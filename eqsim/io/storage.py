@@ -1,6 +1,7 @@
 """Results on disk: Parquet with provenance, JSON without NaN, and folders that are
 never half-written."""
 
+import hashlib
 import io
 import json
 import math
@@ -8,6 +9,7 @@ import os
 import platform
 import shutil
 import tempfile
+import time
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -16,10 +18,13 @@ import numpy as np
 
 from eqsim.errors import InputError
 from eqsim.io.signals import undone
+from eqsim.results import RESULTS_VERSION
 
 # Files in the folder of a sweep (`eqsim.sweeps.store`).
 SWEEP_TABLE = "sweep.parquet"  # all rows, in the order of the grid, once all are there
 SWEEP_MANIFEST = "_sweep.json"  # settings of the sweep
+# Seconds after which what a stopped command has done is removed: 30 days
+_FORGOTTEN_SECONDS = 30 * 86400.0
 SWEEP_PARTS = "parts"  # finished rows of an unfinished sweep
 SWEEP_HIDDEN = "_parts"  # the same, renamed just before the table gets its name
 
@@ -151,6 +156,18 @@ def save(path: Path, content: bytes) -> None:
     """Write one file, whole or not at all, whenever the process or the machine dies.
     Raises InputError."""
     publish(path.parent, {path.name: content}, str(path))
+
+
+def unfinished(out: Path, *parts: str) -> Path:
+    """The folder for what a command that may be stopped has done, named by a digest of
+    all that its numbers depend on and of the release of eqsim. Folders to which nothing
+    was added for long are removed."""
+    for old in out.glob(".unfinished-*"):
+        if time.time() - old.stat().st_mtime > _FORGOTTEN_SECONDS:
+            shutil.rmtree(old, ignore_errors=True)
+    all_parts = versions()["eqsim"], str(RESULTS_VERSION), *parts
+    digest = hashlib.sha256(" ".join(all_parts).encode()).hexdigest()
+    return out / f".unfinished-{digest[:16]}"
 
 
 def publish(folder: Path, files: dict[str, bytes], place: str = "") -> None:

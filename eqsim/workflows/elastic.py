@@ -3,15 +3,17 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from eqsim.engine.elastic import check_elastic, elastic_trajectory
+from eqsim.engine.elastic import check_elastic, simulate_blocks
 from eqsim.engine.records import ElasticTrajectory
 from eqsim.estimate import Estimate, difference
 from eqsim.io import terminal
 from eqsim.io.runfile import RunFile
+from eqsim.io.states import kept
 from eqsim.lazy import lazily
 from eqsim.master.avalanche_sizes import missed_by_few, size_law
 from eqsim.master.steady import reference
@@ -185,13 +187,17 @@ def run_elastic(
     threads: int,
     max_lives: float,
     progress: Progress,
+    keep: Path | None,
 ) -> ElasticResult:
-    """Simulate a run file whose `drive` has coupled blocks. Raises InputError."""
+    """Simulate a run file whose `drive` has coupled blocks; `keep` as in `run`. Raises
+    InputError."""
     ensemble, output = file.ensemble, file.output
     _, expected = check_elastic(ensemble, drive, output, max_lives)
     progress(0, expected)
-    found = elastic_trajectory(
-        ensemble, drive, points=output.points, seed=output.seed, replicas=output.replicas, threads=threads,
-        max_lives=max_lives, progress=lambda lives: progress(lives, expected),
-    )  # fmt: skip
+    with kept(file, keep) as states:
+        found = simulate_blocks(
+            *(ensemble, drive, output, threads),
+            lambda lives: progress(lives, max(lives, expected)),
+            states,
+        )
     return ElasticResult(file, found)

@@ -476,6 +476,7 @@ def run(
     max_lives: float = 1e10,
     exact: bool = True,
     progress: Progress = lambda *_: None,
+    keep: Path | None = None,
 ) -> RunResult | ProgrammeResult | ElasticResult:
     """Simulate a run file, and at constant velocity estimate the steady averages that
     belong to it.
@@ -497,6 +498,10 @@ def run(
         none.
     progress : callable, optional
         Called as `progress(done, expected)`, numbers of lives.
+    keep : Path, optional
+        Folder where a run of coupled blocks that is stopped leaves its states, every
+        half a minute; the next run of the same file goes on from these within 30 days,
+        with the same bits, and removes them when it is finished.
 
     Returns
     -------
@@ -524,9 +529,9 @@ def run(
             raise InputError(
                 "--workers, --dask: coupled blocks are simulated in one process; threads share replicas"
             )
-        return run_elastic(
-            file, drive, threads=threads, max_lives=max_lives, progress=progress
-        )
+        how: dict[str, Any] = {"threads": threads, "max_lives": max_lives}
+        how["progress"] = progress
+        return run_elastic(file, drive, **how, keep=keep)
     draws: dict[str, Any] = {"seed": output.seed, "replicas": output.replicas}
     rough = 5e-3 if ensemble.fluctuates else 1e-3  # lives with paths cost more
     with ExitStack() as stack:

@@ -31,8 +31,11 @@ from eqsim import (
 from eqsim.engine import block_events
 from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import draw_birth
+from eqsim.io.runfile import opened
+from eqsim.io.states import States
 from eqsim.master.chain_creep import creep_velocity
 from eqsim.numerics.streams import TRAJECTORY, key
+from eqsim.workflows.run import run as run_file
 
 UNIFORM = {"stiffness_law": "uniform"}
 RUN_FILE = """
@@ -371,3 +374,52 @@ def test_run_file_of_a_programme(tmp_path):
     done = call("run", tmp_path / "creep.toml", "--set", back)
     assert done.exit_code == 2
     assert "drive.programme.0.velocity = -1.0: must be >= 0" in done.output
+
+
+class Stopped(Exception):
+    pass
+
+
+@pytest.mark.parametrize("heat", [0.0, 0.1])
+def test_a_run_that_was_stopped_goes_on(tmp_path, monkeypatch, heat):
+    """With the same bits, from states at records; a damaged state is no state, and other
+    seeds have states of their own."""
+    text = RUN_FILE + "replicas = 2\n"
+    if heat == 0.0:  # a lattice, in any order of breaks
+        cut = text[text.index("[thermal]") : text.index("[drive]")]
+        text = text.replace(cut, "").replace('drive = "edge"', "")
+        text = text.replace("load = [1, 1.2, 1, 0.8]", "")
+    (tmp_path / "edge.toml").write_text(text)
+    monkeypatch.setattr("eqsim.io.states._EVERY", 0.0)
+    file, out = opened(tmp_path / "edge.toml"), tmp_path / "out"
+    whole = run_file(file).trajectory
+    load = States.load
+    seen = []
+
+    def loaded(states, replica):
+        state = load(states, replica)
+        seen.append(0 if state is None else int(state["done"]))
+        return state
+
+    save = States.save
+
+    def saved(states, replica, state):
+        save(states, replica, state)
+        if replica == 1 and state["done"] == 9:
+            raise Stopped
+
+    monkeypatch.setattr(States, "save", saved)
+    monkeypatch.setattr(States, "load", loaded)
+    with pytest.raises(Stopped):
+        run_file(file, keep=out)
+    monkeypatch.setattr(States, "save", save)
+    (damaged,) = out.glob(".unfinished-*/0.npz")
+    damaged.write_bytes(damaged.read_bytes()[:-100])
+    run_file(file.with_changes({"output.seed": 2}), keep=out)
+    again = run_file(file, keep=out).trajectory
+    assert seen == [0, 0, 0, 0, 0, 9]
+    for name in ("X", "force"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))
+    for name, column in whole.avalanches.items():
+        np.testing.assert_array_equal(again.avalanches[name], column)
+    assert not list(out.glob(".unfinished-*"))

@@ -1,0 +1,64 @@
+"""States of runs that may be stopped, on disk beside where their results will be."""
+
+import io
+import shutil
+import time
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from eqsim.io import storage
+from eqsim.io.runfile import RunFile
+from eqsim.numerics.tables import Array
+
+_EVERY = 30.0  # seconds between two states of a replica
+
+
+class States:
+    """States of the replicas of a run (`engine.keeping.Keep`), in a folder of `out` that
+    is named by a digest of `parts`, all that its numbers depend on."""
+
+    def __init__(self, out: Path, *parts: str) -> None:
+        self.folder = storage.unfinished(out, *parts)
+        self.begin = time.perf_counter()
+        self.saved: dict[int, float] = {}
+
+    def due(self, replica: int) -> bool:
+        return time.perf_counter() - self.saved.get(replica, self.begin) > _EVERY
+
+    def load(self, replica: int) -> dict[str, Array] | None:
+        """The state that was saved; None if there is none, or if it is damaged."""
+        try:
+            with np.load(self._path(replica)) as saved:
+                return dict(saved)
+        except (OSError, ValueError, zipfile.BadZipFile):
+            return None
+
+    def save(self, replica: int, state: dict[str, Array]) -> None:
+        content = io.BytesIO()
+        np.savez(content, allow_pickle=False, **state)
+        storage.save(self._path(replica), content.getvalue())
+        self.saved[replica] = time.perf_counter()
+
+    def remove(self) -> None:
+        """Forget all states, when the run is done."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _path(self, replica: int) -> Path:
+        return self.folder / f"{replica}.npz"
+
+
+@contextmanager
+def kept(file: RunFile, out: Path | None) -> Iterator[States | None]:
+    """The states of the runs of a file, if there is a folder for its results; they are
+    removed when all is done."""
+    if out is None:
+        yield None
+        return
+    steps = file.ensemble.thresholds.steps.tobytes().hex()
+    states = States(out, storage.to_json(file.settings), steps)
+    yield states
+    states.remove()
