@@ -56,7 +56,7 @@ class Modes(Result):
     lowest : float
         q of the softest mode of this chain: 0 where a plate pulls it, pi/(2 B) or less
         where a spring pulls its edge.
-    slowest : Estimate
+    softest : Estimate
         Rate of growth of that mode (1/time).
     """
 
@@ -64,7 +64,7 @@ class Modes(Result):
         "wave_number",
         "growth",
         "growth_error",
-        "wave number  $q$  (1/block)",
+        "wave number  q",
         "growth rate",
     )
     wave_number: Array
@@ -73,13 +73,13 @@ class Modes(Result):
     frequency: Array
     critical_wave_number: Estimate
     lowest: float
-    slowest: Estimate
+    softest: Estimate
 
     @property
     def verdict(self) -> str:
         """Verdict on this chain: "stable", "unstable", or "undecided" where the error
         is too large."""
-        growth, error = self.slowest.value, self.slowest.stderr or 0.0
+        growth, error = self.softest.value, self.softest.stderr or 0.0
         if growth is None:  # it decays at once
             return "stable"
         if abs(growth) <= 2.0 * error:
@@ -225,15 +225,15 @@ def chain_modes(
                 for loop in (fine, coarse)
             ]
             critical = Estimate(found[0], abs(found[0] - found[1]) + 1e-9, 0)
-    slowest = NO_VALUE
+    softest = NO_VALUE
     if not math.isnan(p.real[-1]):
-        slowest = Estimate(rate * float(p.real[-1]), rate * float(error[-1]), 0)
+        softest = Estimate(rate * float(p.real[-1]), rate * float(error[-1]), 0)
     growth, missed, frequency = (
         rate * p.real[:-1],
         rate * error[:-1],
         rate * p.imag[:-1],
     )
-    return Modes(asked, growth, missed, frequency, critical, lowest, slowest)
+    return Modes(asked, growth, missed, frequency, critical, lowest, softest)
 
 
 def _lowest(chain: Chain, K_d: float) -> float:

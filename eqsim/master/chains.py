@@ -63,8 +63,8 @@ class Precursors(Result):
         "force",
         "reach",
         "",
-        "force on the edge  F/(n k x_s)",
-        "blocks slipped",
+        "force on the edge  F/n k x_s",
+        "blocks that have slipped",
         False,
         True,
     )

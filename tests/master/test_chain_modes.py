@@ -49,7 +49,7 @@ def test_a_mode_is_a_slider_behind_a_stiffer_spring():
         assert found.growth[row] == pytest.approx(alone.growth.value, rel=0, abs=error)
         frequency = 2.0 * math.pi / (alone.period.value or math.inf)
         assert found.frequency[row] == pytest.approx(frequency, rel=1e-6, abs=1e-6)
-    assert found.slowest.value == found.growth[1]
+    assert found.softest.value == found.growth[1]
     assert found.lowest == 0.0
 
 
