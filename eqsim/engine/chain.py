@@ -10,13 +10,14 @@ import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from eqsim.engine.blocks import Progress, Threads, workers_of
-from eqsim.engine.chain_records import ChainTrajectory
+from eqsim.engine.chain_records import ChainTrajectory, fronts_of
 from eqsim.engine.chain_steps import (
     BROKE,
     COURSE,
@@ -24,12 +25,15 @@ from eqsim.engine.chain_steps import (
     Blocks,
     Chained,
     Links,
+    begin_step,
+    end_step,
     follow_all,
+    follow_share,
     march,
 )
 from eqsim.engine.contacts import contacts
 from eqsim.engine.records import by_replica
-from eqsim.engine.slider import CONTACT, FIRST_STEP, SUMS, find_stationary
+from eqsim.engine.slider import BLOCK, CONTACT, FIRST_STEP, SUMS, find_stationary
 from eqsim.engine.slider_runs import (
     COARSER,
     coarse_instants,
@@ -50,8 +54,9 @@ from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
 
 _MOST_RECORDS = 20_000_000  # of all blocks and replicas: some 1 GB of memory
-_EVENT_SPEED = 10.0  # velocity of a block in an event, over the fastest drive
+_EVENT_SPEED = 2.0  # velocity of a block in an event, over the fastest drive
 _TOLD_AFTER = 256  # steps between calls of `progress`
+_BLOCKS_PER_THREAD = 20  # of `BLOCK` contacts: waking a thread takes as long
 _ROOM = 4096  # events, and broken blocks besides those of one step
 
 # A block at an instant of the grid.
@@ -71,7 +76,7 @@ def pull_of_chain(ensemble: Ensemble, programme: Programme) -> tuple[Chain, Pull
     InputError for contacts that a chain does not take."""
     chain = programme.chain
     if chain is None:
-        raise InputError("drive.chain: is required")
+        raise InputError("elastic.damping: is required, or a mass")
     if ensemble.populations:
         raise InputError("population: a chain takes contacts of one kind")
     if programme.forced or programme.rebinding == "shared":
@@ -92,7 +97,7 @@ def chained(
     are `longer` times as long as its tolerance asks for. Raises InputError."""
     chain, pull = pull_of_chain(ensemble, programme)
     law, unit, pace = ensemble.thresholds, ensemble.thresholds.scale, pull.pace
-    B, laws = chain.blocks, contacts(ensemble, pace)
+    B, laws = chain.count, contacts(ensemble, pace)
     ends = np.concatenate(([0], np.cumsum(chain.contacts_of(ensemble.count))))
     coupling = chain.coupling if B > 1 else 0.0
     bulk = chain.bulk_damping * pace / unit if B > 1 else 0.0
@@ -202,15 +207,50 @@ def _record(c: Chained) -> Array:
     return row
 
 
+class Sharing(NamedTuple):
+    """Threads that share the blocks of a chain: the caller and those of a pool."""
+
+    pool: ThreadPool
+    edges: list[int]  # of the shares
+
+    @classmethod
+    def of(cls, pool: ThreadPool, c: Chained, threads: int) -> "Sharing":
+        """Shares of about as many contacts."""
+        ends = c.links.ends
+        aims = np.linspace(0, ends[-1], threads + 1)
+        return cls(pool, np.searchsorted(ends, aims).tolist())
+
+    def march(
+        self, c: Chained, until: float, speed: float, most: int, stop: Array
+    ) -> bool:
+        """`chain_steps.march`: the same bits."""
+        shares = [*pairwise(self.edges)]
+        for _ in range(most):
+            if c.course["time"][0] >= until or stop[0]:
+                break
+            dt, off = begin_step(c, until, speed)
+            others = [
+                self.pool.submit(follow_share, c, dt, *share) for share in shares[1:]
+            ]
+            follow_share(c, dt, *shares[0])
+            for other in others:
+                other.result()
+            if not end_step(c, dt, until, speed, off):
+                return False
+        return True
+
+
 def follow(
     c: Chained,
     pull: Pull,
     instants: Array,
     stop: Array,
     told: Callable[[int, float], None],
+    sharing: Sharing | None = None,
 ) -> _Run:
     """Follow a chain through its programme. `told` gets the breaks since it was called
     last, and the time."""
+    advance = sharing.march if sharing else march
     means = [_mean_over(c)]
     records = [_record(c)]
     s = c.course[0]
@@ -227,7 +267,7 @@ def follow(
         while row < instants.size and instants[row] <= end * (1.0 + 1e-12):
             until = min(float(instants[row]), end)
             while s["time"] < until:
-                march(c, until, float(speed), _TOLD_AFTER, stop)
+                advance(c, until, float(speed), _TOLD_AFTER, stop)
                 if stop[0]:
                     raise CancelledError
                 tell()
@@ -252,7 +292,7 @@ def _check(
     """The chain of a run, which is neither too large nor too long."""
     chain, pull = pull_of_chain(ensemble, programme)
     points = programme.grid(output.points).t.size
-    if points * chain.blocks * output.replicas > _MOST_RECORDS:
+    if points * chain.count * output.replicas > _MOST_RECORDS:
         raise InputError(
             f"output.points = {points}: records of all blocks and replicas must be <= "
             f"{_MOST_RECORDS:.0e} in number"
@@ -285,12 +325,21 @@ def chain_trajectory(
         c = chained(ensemble, programme, output.seed, replica, longer)
         here = instants if longer == 1 else instants[coarse_instants(grid.segment)]
         tell = (lambda breaks, _: told(breaks)) if longer == 1 else (lambda *_: None)
-        return follow(c, pull, here, pool.stop, tell)
+        if sharing < 2:
+            return follow(c, pull, here, pool.stop, tell)
+        with ThreadPool(sharing - 1) as helpers:
+            shares = Sharing.of(helpers, c, sharing)
+            return follow(c, pull, here, pool.stop, tell, shares)
 
     tasks = [(i, longer) for i in range(output.replicas) for longer in (1, COARSER)]
+    most = int(ensemble.count / (_BLOCKS_PER_THREAD * BLOCK))
+    sharing = min(workers, most, chain.count) if output.replicas < workers else 1
     begin = time.perf_counter()
     with ThreadPool(max(1, min(workers, len(tasks)))) as pool:
-        runs = list(pool.map(simulate, tasks))
+        if sharing > 1:
+            runs = [pool.submit(simulate, task).result() for task in tasks]
+        else:
+            runs = list(pool.map(simulate, tasks))
     fine, coarse = runs[::2], runs[1::2]
     means, again = (np.array([run.means for run in half]) for half in (fine, coarse))
     columns = pulled_columns(ensemble, programme, grid, pull, means, again)
@@ -298,6 +347,14 @@ def chain_trajectory(
     stage = np.array([run.means["stage"] for run in fine])
     springs = chain.springs * (stage[..., None] - X)
     columns["spring"] = np.mean(springs, axis=(0, 2)) * unit
+    broke, coarsely = (
+        by_replica([_in_units(run.broke, pull, unit) for run in half])
+        for half in (fine, coarse)
+    )
+    fronts, theirs = fronts_of(broke), fronts_of(coarsely)["speed"]
+    if fronts["speed"].size and theirs.size:
+        change = abs(np.mean(theirs) - np.mean(fronts["speed"])) / (COARSER - 1)
+        fronts["speed_stderr"] = np.hypot(fronts["speed_stderr"], change)
     return ChainTrajectory(
         **columns,
         lives=sum(run.breaks for run in fine),
@@ -307,8 +364,9 @@ def chain_trajectory(
         steps=tuple(run.steps for run in fine),
         chain=chain,
         blocks=by_replica([_of_blocks(run, grid, pull, unit) for run in fine]),
-        broke=by_replica([_in_units(run.broke, pull, unit) for run in fine]),
+        broke=broke,
         events=by_replica([_in_units(run.events, pull, unit) for run in fine]),
+        fronts=fronts,
     )
 
 

@@ -1,10 +1,20 @@
 """Records of chains of blocks: fronts, events, and what is read off them."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import stats
 
 from eqsim.engine.records import PulledRecord
+from eqsim.estimate import Estimate, mean_of
 from eqsim.model.chain import Chain
 from eqsim.numerics.tables import Array
+
+_SHORTEST_FRONT = 5  # blocks, through which a speed is fitted
+_SLOW = 0.1  # speed of a slow front, at most, over that of waves
+ENOUGH_EVENTS = 5  # whose scatter tells the error of their mean
 
 
 @dataclass(frozen=True, repr=False)
@@ -33,8 +43,11 @@ class ChainTrajectory(PulledRecord):
         `blocks` broke, `peak`, the largest force of the springs that drive since the
         event before, and its `drop` (lengths), the `energy` taken by breaks and dampers
         over N k (length squared), and the `replica`. An event goes on while a block
-        moves more than ten times as fast as the fastest segment of the programme; at
-        least one block breaks.
+        moves more than twice as fast as the fastest segment of the programme; at least
+        one block breaks. It is a precursor unless all blocks do.
+    fronts : dict of ndarray
+        `fronts_of` the blocks that broke. The errors of speeds include a third of what
+        the mean speed changes in steps four times as long.
     """
 
     chain: Chain
@@ -42,3 +55,165 @@ class ChainTrajectory(PulledRecord):
     blocks: dict[str, Array]
     broke: dict[str, Array]
     events: dict[str, Array]
+    fronts: dict[str, Array]
+
+    def in_space(self, name: str, replica: int = 0) -> Array:
+        """A column of `blocks` of a replica, shape (points, blocks)."""
+        size = self.t.size * self.chain.count
+        rows = self.blocks[name][replica * size : (replica + 1) * size]
+        return np.asarray(rows.reshape(self.t.size, self.chain.count))
+
+    def _of_whole(self, name: str) -> list[Array]:
+        """A column of the events in which all blocks broke, of each replica."""
+        replica, events = self.events["replica"], self.events
+        whole = events["blocks"] == self.chain.count
+        count = int(self.blocks["replica"][-1]) + 1
+        return [events[name][whole & (replica == i)] for i in range(count)]
+
+    @cached_property
+    def static_friction(self) -> Estimate:
+        """Largest force of the springs before events in which all blocks break, over
+        N k (length), without the first of each replica, which depends on the start."""
+        return _mean([peak[1:] for peak in self._of_whole("peak")])
+
+    @cached_property
+    def recurrence(self) -> Estimate:
+        """Time from one event in which all blocks break to the next, without the first
+        of each replica."""
+        return _mean([np.diff(t[1:]) for t in self._of_whole("t")])
+
+    @cached_property
+    def drop(self) -> Estimate:
+        """Drop of the force of the springs in events in which all blocks break, over
+        N k (length), without the first of each replica."""
+        return _mean([drop[1:] for drop in self._of_whole("drop")])
+
+    @cached_property
+    def precursors(self) -> Estimate:
+        """Share of the blocks that break in an event which does not break all, in the
+        mean."""
+        length = self.events["blocks"] / self.chain.count
+        return _mean([length[length < 1.0]])
+
+    @cached_property
+    def front_speed(self) -> Estimate:
+        """Speed of fronts (blocks/time), the mean weighted by their lengths."""
+        speed, blocks = self.fronts["speed"], self.fronts["blocks"]
+        if not speed.size:
+            return Estimate(None, None, 0, reliable=False)
+        value = float(np.average(speed, weights=blocks))
+        square = float(np.average((speed - value) ** 2, weights=blocks))
+        each = float(np.average(self.fronts["speed_stderr"], weights=blocks))
+        error = math.hypot(math.sqrt(square / max(speed.size - 1, 1)), each)
+        return Estimate(value, error, speed.size, reliable=speed.size >= ENOUGH_EVENTS)
+
+    @cached_property
+    def gini(self) -> float:
+        """Gini coefficient of slip: of the displacements of blocks between records, 0
+        where all are equal, and near 1 where a few blocks slip at a few instants."""
+        slip = np.abs(np.diff(self.in_space("X"), axis=0)).ravel()
+        total = slip.sum()
+        rank = 2.0 * np.arange(1, slip.size + 1) - slip.size - 1.0
+        return float(rank @ np.sort(slip) / (slip.size * total)) if total else 0.0
+
+    @cached_property
+    def roughness(self) -> Array:
+        """Standard deviation of X between blocks at each instant, of all replicas
+        (length), shape (points,)."""
+        each = [self.in_space("X", i) for i in range(len(self.steps))]
+        return np.sqrt(np.mean([X.var(axis=1) for X in each], axis=0))
+
+    @cached_property
+    def correlation_length(self) -> float:
+        """Distance at which the correlation of X - <X> of two blocks has fallen to 1/e,
+        over the second half of the records (blocks)."""
+        X = np.concatenate(
+            [self.in_space("X", i)[self.t.size // 2 :] for i in range(len(self.steps))]
+        )
+        X = X - X.mean(axis=1, keepdims=True)
+        size = X.shape[1]
+        lags = range(size // 2 + 1)
+        found = np.array([np.mean(X[:, : size - r] * X[:, r:]) for r in lags])
+        below = np.flatnonzero(found < found[0] / math.e)
+        if not below.size or found[0] == 0.0:
+            return math.inf if found[0] else 0.0
+        i = int(below[0])
+        share = (found[i - 1] - found[0] / math.e) / (found[i - 1] - found[i])
+        return float(i - 1 + share)
+
+    def kind_of(self, speed: float) -> str:
+        """What a front of this speed (blocks/time) is called beside c = sqrt(K/M):
+        "slow" below 0.1 c, "supersonic" above c, else "fast"; "overdamped" without a
+        mass."""
+        if not self.chain.mass:
+            return "overdamped"
+        mach = speed / self.chain.wave_speed
+        return "slow" if mach < _SLOW else "supersonic" if mach > 1.0 else "fast"
+
+    def columns(self) -> dict[str, Array]:
+        """The arrays by name, and the roughness."""
+        return super().columns() | {"roughness": self.roughness}
+
+
+# A front.
+FRONT = np.dtype(
+    [
+        ("event", np.int64),
+        ("t", float),
+        *((name, np.int64) for name in ("block", "blocks", "direction")),
+        ("speed", float),
+        ("speed_stderr", float),
+        ("replica", np.int64),
+    ]
+)
+
+
+def _mean(values: list[Array]) -> Estimate:
+    """Mean of values of several replicas, with its error from their scatter."""
+    each = np.concatenate(values)
+    if each.size < 2:
+        return Estimate(
+            float(each[0]) if each.size else None, None, each.size, 0, False
+        )
+    found = mean_of(each, each.size, each.size - 1)
+    return found if each.size >= ENOUGH_EVENTS else replace(found, reliable=False)
+
+
+def fronts_of(broke: dict[str, Array]) -> dict[str, Array]:
+    """Fit the speeds of fronts, by column.
+
+    A front runs to the left or to the right of the block that breaks first in an event,
+    through neighbours, at least 5. Its speed is that of the straight line through the
+    times at which they break, its error that of the fit; where the slope is not above
+    two of its errors, there is no front.
+
+    Columns: `event`, `block` where it begins, `t` when the line leaves it, how many `blocks` it breaks,
+    `direction` (1 or -1), `speed` and `speed_stderr` (blocks/time), and the `replica`.
+    """
+    rows = []
+    names = np.stack((broke["replica"], broke["event"]))
+    change = np.any(np.diff(names, axis=1) != 0, axis=0)
+    for here in np.split(np.arange(change.size + 1), np.flatnonzero(change) + 1):
+        if not broke["t"].size:
+            break
+        t = dict(
+            zip(broke["block"][here].tolist(), broke["t"][here].tolist(), strict=True)
+        )
+        start = min(t, key=t.__getitem__)
+        for direction in (1, -1):
+            run = [start]
+            while run[-1] + direction in t:
+                run.append(run[-1] + direction)
+            times = np.array([t[block] for block in run])
+            if times.size < _SHORTEST_FRONT:
+                continue
+            line = stats.linregress(np.arange(times.size), times)
+            if line.slope <= 2.0 * line.stderr:  # no motion that can be told
+                continue
+            speed = 1.0 / line.slope
+            begin = float(line.intercept)
+            where = int(broke["event"][here[0]]), begin, start, times.size, direction
+            error = line.stderr * speed**2
+            rows.append((*where, speed, error, int(broke["replica"][here[0]])))
+    found = np.array(rows, FRONT)
+    return {name: found[name].copy() for name in FRONT.names or ()}

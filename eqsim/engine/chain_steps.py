@@ -471,6 +471,7 @@ def _next_step(c: Chained, dt: float, cut: bool) -> float:
     links, b, s = c.links, c.blocks, c.course[0]
     error = 0.0
     longest = math.inf
+    finest = links.tolerance / max(links.tolerance, 1.0 / links.mean_count)
     for j in range(b.X.size):
         sums = c.now[j]
         noise = NOISE * math.sqrt(sums.scatter / links.mean_count)
@@ -478,7 +479,9 @@ def _next_step(c: Chained, dt: float, cut: bool) -> float:
         elastic = links.springs[j] + sums.stiffness
         if links.mass > 0.0:
             stiffest = elastic + 2.0 * links.coupling * links.neighbours[j]
-            error = max(error, 4.0 * dt * dt * b.jump[j] * stiffest)
+            shaken = 4.0 * dt * dt * b.jump[j] * stiffest
+            # waves of single breaks, which a block of few contacts always has
+            error = max(error, shaken if links.free else shaken * finest)
         if links.waits and sums.square > 0.0:
             force = math.sqrt(sums.square / sums.pinned) / links.mean_count
             against = math.sqrt(elastic * (elastic + 4.0 * links.coupling))
@@ -597,6 +600,25 @@ def march(c: Chained, until: float, speed: float, most: int, stop: Array) -> boo
         _follow(c, dt, 0, c.blocks.X.size)
         _end_step(c, dt, until, speed, off)
     return True
+
+
+@kernel
+def begin_step(c: Chained, until: float, speed: float) -> tuple[float, float]:
+    """The first third of a step of `march`, whose contacts threads share."""
+    return _begin_step(c, until, speed)
+
+
+@kernel
+def follow_share(c: Chained, dt: float, first: int, last: int) -> None:
+    """The second third, for blocks first <= j < last."""
+    _follow(c, dt, first, last)
+
+
+@kernel
+def end_step(c: Chained, dt: float, until: float, speed: float, off: float) -> bool:
+    """The last third. Returns whether lists have room for the next step."""
+    _end_step(c, dt, until, speed, off)
+    return _has_room(c)
 
 
 @kernel

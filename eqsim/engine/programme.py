@@ -45,6 +45,7 @@ _MOST_LEVELS = 5  # velocities whose steady states say how forces scatter
 def check_programme(ensemble: Ensemble, programme: Programme) -> None:
     """Raise InputError for contacts that do not follow a programme."""
     born, rule, pulled = ensemble.newborn, ensemble.aging.rule, programme.pulled
+    puller = "elastic.damping" if programme.chain else "drive.stage"
     lengths = born.active and born.of == "length"
     refused = (
         (
@@ -68,7 +69,7 @@ def check_programme(ensemble: Ensemble, programme: Programme) -> None:
         ),
         (
             pulled and ensemble.fluctuates,
-            f'drive.stage: thresholds of rule "{rule}" are followed where the motion '
+            f'{puller}: thresholds of rule "{rule}" are followed where the motion '
             'is given; take rule = "flow"',
         ),
         (

@@ -50,6 +50,7 @@ from eqsim.laws.newborn import LAWS, Newborn
 from eqsim.laws.thermal import Pathway, Thermal
 from eqsim.laws.threshold import Table, ThresholdLaw
 from eqsim.laws.viscosity import Viscosity
+from eqsim.model.chain import Chain
 from eqsim.model.drive import (
     Drive,
     Output,
@@ -190,7 +191,10 @@ class RunFile(Listed):
 
     @property
     def pulled(self) -> bool:
-        """True if a stage, a force or a motor moves the slider."""
+        """True if a stage, a force or a motor moves the slider, or blocks move in
+        time."""
+        if isinstance(self.blocks, Chain):
+            return True
         parts = [self.settings["drive"], *(self["drive.programme"] or ())]
         names = "stage", "stall_force", "force", "force_rate"
         return any(part.get(name) is not None for part in parts for name in names)
@@ -278,13 +282,29 @@ class RunFile(Listed):
     def drive(self) -> Drive | Programme:
         """The drive of the slider. Raises InputError."""
         given = self.settings["drive"]
-        if not self.constant:
+        if not self.constant or isinstance(self.blocks, Chain):
             return self._programme()
         if given["velocity"] is None:
             raise InputError("drive.velocity: is required")
-        elastic = self._section(Elastic, "elastic") if self["elastic"] else None
         with under("drive"):
-            return Drive(given["velocity"], given["distance"], given["start"], elastic)
+            where = given["velocity"], given["distance"], given["start"]
+            return Drive(*where, self.blocks)
+
+    @cached_property
+    def blocks(self) -> Elastic | None:
+        """The coupled blocks, a `Chain` if they move in time. Raises InputError."""
+        given = self["elastic"]
+        if given is None:
+            return None
+        with under("elastic"):
+            if given["mass"] or given["damping"]:
+                return Chain(**given)
+            if given["bulk_damping"]:
+                raise InputError(
+                    "bulk_damping: needs a mass or a damping of each block"
+                )
+            names = {field.name for field in fields(Elastic)}
+            return Elastic(**{k: v for k, v in given.items() if k in names})
 
     @property
     def constant_drive(self) -> Drive:
@@ -295,7 +315,8 @@ class RunFile(Listed):
     def _programme(self) -> Programme:
         given = self.settings["drive"]
         programme, file, stage = map(given.get, ("programme", "file", "stage"))
-        elastic = self._section(Elastic, "elastic") if self["elastic"] else None
+        chain = self.blocks if isinstance(self.blocks, Chain) else None
+        elastic = None if chain else self.blocks
         if programme is not None and file is not None:
             raise InputError("drive.file: not allowed with drive.programme")
         if file is None and given["record"] is not None:
@@ -340,7 +361,8 @@ class RunFile(Listed):
                 pulled_by,
                 math.inf if stall is None else stall,
                 given["rebinding"] or "unstretched",
-                elastic=elastic,
+                chain,
+                elastic,
             )
 
     def _recorded_drive(self) -> RecordedDrive:

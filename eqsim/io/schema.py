@@ -26,8 +26,8 @@ from eqsim.laws.named import THRESHOLDS
 from eqsim.laws.newborn import LAWS, Newborn
 from eqsim.laws.thermal import Thermal
 from eqsim.laws.viscosity import Viscosity
+from eqsim.model.chain import Chain
 from eqsim.model.drive import Drive, Output, Segment, Stage
-from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble, Population
 
 _DATACLASSES: dict[str, Any] = {
@@ -43,7 +43,7 @@ _DATACLASSES: dict[str, Any] = {
     "drive.programme": Segment,
     "drive.stage": Stage,
     "drive.record": DriveRecord,
-    "elastic": Elastic,
+    "elastic": Chain,
     "output": Output,
     "units": Units,
     "interface": Interface,

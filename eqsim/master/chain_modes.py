@@ -246,6 +246,6 @@ def _lowest(chain: Chain, K_d: float) -> float:
     if chain.blocks == 1:
         diagonal[0] = 0.0
     diagonal += chain.springs - K_d
-    beside = np.full(chain.blocks - 1, -chain.coupling)
+    beside = np.full(chain.count - 1, -chain.coupling)
     softest = linalg.eigvalsh_tridiagonal(diagonal, beside, "i", (0, 0))[0]
     return 2.0 * math.asin(min(math.sqrt(softest / chain.coupling) / 2.0, 1.0))

@@ -93,8 +93,8 @@ class Elastic:
         require_choice("edges", self.edges, ("open", "periodic"))
         require_choice("drive", self.drive, ("plate", "edge", "both"))
         if (self.drive == "both") != (self.edge_stiffness is not None):
-            said = "is required" if self.drive == "both" else "not allowed unless"
-            raise InputError(f'edge_stiffness: {said} with drive = "both"')
+            said = "is required with" if self.drive == "both" else "not allowed unless"
+            raise InputError(f'edge_stiffness: {said} drive = "both"')
         if self.edge_stiffness is not None:
             require_number("edge_stiffness", self.edge_stiffness, least=1e-6, most=1e6)
         if self.load is not None:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS
+from eqsim.model.chain import Chain
 from eqsim.model.drive import Drive, Programme, over_distance
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
@@ -119,6 +120,10 @@ def _of_programme(ensemble: Ensemble, programme: Programme, v: float) -> Rows:
     paces = (leg.pace for leg in legs(ensemble, programme) if leg.sign)
     slowest = min(paces, default=v)
     yield "slowest/fastest", slowest / v, "velocities of the segments that move"
+    if programme.chain:
+        yield from _of_blocks(ensemble.count, programme.chain)
+        yield from _of_chain(programme.chain, v / ensemble.thresholds.scale)
+        return
     pull = pull_of(ensemble, programme) if programme.pulled else None
     if pull and programme.forced:
         most = float(max(map(abs, pull.knots[1])))
@@ -188,6 +193,18 @@ def _of_blocks(contacts: int, elastic: Elastic) -> Rows:
     yield "mean size", elastic.mean_size, "1 + n k/K_d, breaks of an avalanche"
     cutoff = 1.0 / (1.0 - elastic.branching) ** 2
     yield "cutoff size", cutoff, "up to which P(s) ~ s^(-3/2)"
+
+
+def _of_chain(chain: Chain, rate: float) -> Rows:
+    """Groups of a chain that moves in time; `rate` is the velocity over the threshold
+    scale."""
+    if chain.mass:
+        c = chain.wave_speed
+        yield "c", c, "sqrt(K/M), speed of waves without contacts, blocks per time"
+    yield "M v^2/x_*^2", chain.mass * rate**2, "inertia of a block at that velocity"
+    yield "eta v/x_*", chain.damping * rate, "damping of a block at that velocity"
+    bulk = "damping between neighbours at that velocity"
+    yield "alpha v/x_*", chain.bulk_damping * rate, bulk
 
 
 def doubts(ensemble: Ensemble, drive: Drive | Programme | None) -> Iterator[str]:

@@ -10,6 +10,9 @@ import time
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from eqsim.engine.chain_records import ENOUGH_EVENTS, ChainTrajectory
 from eqsim.engine.elastic import elastic_trajectory
 from eqsim.engine.readings import Forces, shown_by
 from eqsim.engine.records import SegmentRecord, SliderTrajectory, observed
@@ -151,6 +154,8 @@ def _programme(
     task: Task, programme: Programme, options: RowCells, compares: bool
 ) -> RowCells:
     run = trajectory(task.ensemble, programme, **options)
+    if isinstance(run, ChainTrajectory):
+        return _chain_columns(run)
     if isinstance(run, SliderTrajectory):
         if programme.motor and run.force_replicas is not None:
             return _motor_columns(run)
@@ -189,6 +194,19 @@ def _motor_columns(run: SliderTrajectory) -> RowCells:
     each = run.force_replicas[:, late].mean(axis=1)
     force = mean_of(each, each.size, each.size - 1)
     return _status(run.lives, []) | _filled("friction", force)
+
+
+def _chain_columns(run: ChainTrajectory) -> RowCells:
+    """Columns of the events of a chain in which all blocks break, as slips, and of the
+    mean force over the second half, if several replicas tell its error."""
+    friction: RowCells = {}
+    if run.force_replicas is not None:
+        each = run.force_replicas[:, run.t > 0.5 * run.t[-1]].mean(axis=1)
+        friction = _filled("friction", mean_of(each, each.size, each.size - 1))
+    whole = int(np.sum(run.events["blocks"] == run.chain.count))
+    row = _status(run.lives, ["few slips"] if 0 < whole < ENOUGH_EVENTS else [])
+    row |= friction | {"slips": whole} | _filled("period", run.recurrence)
+    return row | _filled("drop", run.drop)
 
 
 def _slip_columns(run: SliderTrajectory) -> RowCells:

@@ -33,7 +33,7 @@ from eqsim.master.lifetimes import lifetime
 from eqsim.master.peak import Peak, first_peak
 from eqsim.master.steady import reference
 from eqsim.master.transient import Transient
-from eqsim.model.drive import Drive
+from eqsim.model.drive import Drive, Programme
 from eqsim.model.healing import Healing, healing_law
 from eqsim.numerics.tables import Array
 from eqsim.sweeps.workers import Workers
@@ -542,6 +542,8 @@ def run(
             )
         if output.breaks and isinstance(drive, Drive):
             check_breaks(ensemble, drive, output)
+        if workers and isinstance(drive, Programme) and drive.chain:
+            raise InputError("--workers, --dask: a chain is simulated by threads only")
         pool = stack.enter_context(workers.fixed_pool()) if workers else None
         progress(0, expected)
         level = None
@@ -561,5 +563,9 @@ def run(
             breaks(ensemble, drive, **draws, threads=threads) if output.breaks else None
         )
         return RunResult(file, level, simulated, listed, who, exact)
+    if drive.chain:
+        from eqsim.workflows.chain import ChainResult
+
+        return ChainResult(file, simulated, who)
     kind = SliderResult if drive.pulled else ProgrammeResult
     return kind(file, simulated, who, exact)

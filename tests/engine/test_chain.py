@@ -5,6 +5,7 @@ All contacts have one type of laws, so that kernels are compiled once.
 """
 
 import math
+import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -24,9 +25,12 @@ from eqsim import (
     trajectory,
 )
 from eqsim.engine.chain import chained, follow, pull_of_chain
+from eqsim.engine.chain_records import fronts_of
 from eqsim.engine.chain_steps import march
 from eqsim.engine.slider import Slider
+from eqsim.io.runfile import check
 from eqsim.master.chain_fronts import front_prestress
+from eqsim.workflows.run import run as run_file
 
 HOT = Ensemble(thermal=Thermal(0.1), delay=Delay(1.0), count=400)
 # heat that never breaks a contact
@@ -109,12 +113,12 @@ def matrices(chain):
 
 LINEAR = [
     Chain(1, 3.0, 0.2, damping=0.5),
-    Chain(2, 3.0, 0.2, "edge", damping=0.5),
-    Chain(5, 3.0, 0.2, "both", 0.7, damping=0.5, bulk_damping=0.4),
-    Chain(5, 3.0, 0.2, "edge", mass=2.0, damping=0.1, bulk_damping=0.4),
+    Chain(2, 3.0, 0.2, drive="edge", damping=0.5),
+    Chain(5, 3.0, 0.2, drive="both", edge_stiffness=0.7, damping=0.5, bulk_damping=0.4),
+    Chain(5, 3.0, 0.2, drive="edge", mass=2.0, damping=0.1, bulk_damping=0.4),
     Chain(4, 3.0, 0.2, edges="periodic", damping=0.5, bulk_damping=0.4),
     Chain(4, 3.0, 0.2, edges="periodic", mass=2.0),
-    Chain(5, 1e6, 0.2, "edge", damping=0.5),
+    Chain(5, 1e6, 0.2, drive="edge", damping=0.5),
 ]
 
 
@@ -161,7 +165,7 @@ def test_springs_masses_and_dampers(chain, wrong):
 
 CHAINS = [
     Chain(4, 20.0, 0.25, damping=0.5, bulk_damping=0.2),
-    Chain(4, 20.0, 0.25, "edge", mass=1.0, load=(1.0, 2.0, 3.0, 2.0)),
+    Chain(4, 20.0, 0.25, drive="edge", mass=1.0, load=(1.0, 2.0, 3.0, 2.0)),
     Chain(4, 2.0, 0.25, edges="periodic", mass=1.0, damping=0.1),
 ]
 
@@ -229,7 +233,7 @@ def front_speed(chain, stretch, dt=None, give_back=True):
 def test_front_in_long_steps(give_back):
     """6 steps for each block that a front passes: the impulse that estimates miss is
     given back, without which the speed is 2 % off."""
-    chain = Chain(96, 20.0, 1e-9, damping=1.0, tolerance=1e-3)
+    chain = Chain(96, 20.0, 1e-6, damping=1.0, tolerance=1e-3)
     stretch = front_prestress(5.0, 20.0, damping=1.0).value
     found = front_speed(chain, stretch, 0.033, give_back)
     assert (found == pytest.approx(5.0, rel=1e-3, abs=0)) == give_back
@@ -242,16 +246,21 @@ def test_speed_of_fronts(mass, speed):
     stretch, to 1e-3: contacts are 512 in a block, steps of finite length. Masses with
     less damping swing so far that their blocks break again, which is not in the exact
     speed."""
-    chain = Chain(96, 20.0, 1e-9, mass=mass, damping=1.0)
+    chain = Chain(96, 20.0, 1e-6, mass=mass, damping=1.0)
     stretch = front_prestress(speed, 20.0, mass=mass, damping=1.0).value
     assert front_speed(chain, stretch) == pytest.approx(speed, rel=1e-3, abs=0)
 
 
-def test_records_of_a_chain():
+def test_records_and_threads(monkeypatch):
     chain = Chain(2, 1.0, 0.25, damping=0.5)
     run = trajectory(HOT, programme(chain), points=5, replicas=2)
     again = trajectory(HOT, programme(chain), points=5, replicas=2, threads=2)
     assert np.array_equal(run.X, again.X)
+    monkeypatch.setattr("eqsim.engine.chain._BLOCKS_PER_THREAD", 0.1)
+    single = trajectory(HOT, programme(chain), points=5)
+    shared = trajectory(HOT, programme(chain), points=5, threads=2)
+    assert np.array_equal(shared.blocks["X"], single.blocks["X"])
+    assert shared.steps == single.steps
     assert run.blocks["X"].shape == (2 * 5 * 2,)
     X = run.blocks["X"].reshape(2, 5, 2)
     assert np.mean(X, axis=(0, 2)) == pytest.approx(run.X, abs=1e-14)
@@ -272,7 +281,8 @@ def test_records_of_a_chain():
         ),
         ({"drive": "both"}, 'edge_stiffness: is required with drive = "both"'),
         ({"edge_stiffness": 1.0}, 'edge_stiffness: not allowed unless drive = "both"'),
-        ({"edges": "periodic", "drive": "edge"}, 'edges = "periodic": takes 3 blocks'),
+        ({"edges": "periodic", "drive": "edge"}, "drive: blocks that differ"),
+        ({"edges": "periodic", "blocks": 2}, 'edges = "periodic": a ring has 3 blocks'),
         ({"load": [1.0, 2.0]}, "load: has 2; must be 4 numbers"),
         ({"load": [1.0, 2.0, 0.0, 1.0]}, "load = 0.0: must be a finite number > 0"),
         ({"coupling": math.nan}, "coupling = nan: must be"),
@@ -297,3 +307,104 @@ def test_runs_are_refused():
     ):
         with pytest.raises(InputError, match=said):
             trajectory(contacts, programme(chain), points=points)
+
+
+# ---- fronts, run files ----
+
+
+def test_fronts_are_straight_lines():
+    """A front from block 3 through 7 others, at 2 blocks per time; to its left only 3
+    blocks, of which no speed is told."""
+    blocks = np.array([3, 4, 5, 6, 7, 8, 9, 10, 2, 1])
+    t = 5.0 + np.abs(blocks - 3) / 2.0
+    ones = np.ones(10, int)
+    broke = {"replica": 0 * ones, "event": 4 * ones, "block": blocks, "t": t}
+    found = fronts_of(broke)
+    rows = {name: column.tolist() for name, column in found.items()}
+    assert rows.pop("speed") == [pytest.approx(2.0, rel=1e-12, abs=0)]
+    assert rows.pop("speed_stderr")[0] < 1e-6
+    assert rows == {
+        **{"event": [4], "t": [5.0], "block": [3], "blocks": [8]},
+        **{"direction": [1], "replica": [0]},
+    }
+    none = fronts_of({name: column[:0] for name, column in broke.items()})
+    assert none["speed"].size == 0
+
+
+RUN = """
+[contacts]
+count = 1000
+[thermal]
+kT = 0.01
+[thresholds]
+law = "normal"
+std = 0.1
+[delay]
+time = 2.0
+[drive]
+velocity = 0.02
+time = 200.0
+[elastic]
+blocks = 10
+coupling = 2.0
+drive_stiffness = 1.0
+drive = "edge"
+damping = 0.1
+tolerance = 1e-2
+[output]
+points = 41
+"""
+
+
+def test_run_files(tmp_path):
+    file = check(tomllib.loads(RUN))
+    assert file.drive.chain == Chain(
+        10, 2.0, 1.0, drive="edge", damping=0.1, tolerance=1e-2
+    )
+    found = run_file(file)
+    summary = found.summary()
+    events = found.trajectory.events
+    assert summary["events"] == events["t"].size > 0
+    assert events["blocks"].max() <= 10
+    assert set(found.tables()) == {"trajectory", "blocks", "broke", "events", "fronts"}
+    assert set(found.figures("")) == {"force", "fronts"}
+    assert len([*found.rows()]) == 1 + min(21, events["t"].size)
+    # events are told apart, and their breaks lie within them
+    order = np.argsort(events["t"])
+    ends = events["t"] + events["duration"]
+    assert np.all(events["t"][order][1:] >= ends[order][:-1])
+    for number, begin, end in zip(events["event"], events["t"], ends, strict=True):
+        t = found.trajectory.broke["t"][found.trajectory.broke["event"] == number]
+        assert np.all((begin <= t) & (t <= end))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            {"elastic.damping": 0.0, "elastic.bulk_damping": 1.0},
+            "elastic.bulk_damping:",
+        ),
+        ({"elastic.mass": -1.0}, "elastic.mass = -1.0: must be"),
+        (
+            {"elastic.blocks": [5, 2], "elastic.drive": "plate"},
+            "elastic.blocks = (5, 2): in time only a chain",
+        ),
+        ({"drive.stage": {"stiffness": 1.0}}, "drive.chain: not with a stage"),
+        (
+            {
+                "aging": {"rule": "langevin", "rate": 1.0, "x_star_final": 2.0},
+                "thresholds": {"law": "gamma"},
+            },
+            'elastic.damping: thresholds of rule "langevin"',
+        ),
+    ],
+)
+def test_run_files_are_refused(changes, said):
+    data = tomllib.loads(RUN)
+    for key, value in changes.items():
+        *section, name = key.split(".")
+        (data[section[0]] if section else data)[name] = value
+    with pytest.raises(InputError) as error:
+        run_file(check(data))
+    assert str(error.value).startswith(said)

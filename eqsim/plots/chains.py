@@ -1,0 +1,74 @@
+"""Pictures of chains of blocks in time."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from eqsim.plots.panels import DOTS, Caption
+from eqsim.plots.style import styled
+
+if TYPE_CHECKING:
+    from eqsim.engine.chain_records import ChainTrajectory
+
+
+@styled
+def chain_figure(run: "ChainTrajectory", caption: Caption) -> Figure:
+    """Draw the force of the springs that drive, and of the contacts, against time, with
+    events of all blocks; below, how far blocks are apart."""
+    figure = Figure(figsize=(8, 5.5))
+    top, low = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1.0])
+    top.plot(run.t, run.spring, label="springs that drive")
+    top.plot(run.t, run.force, color="C1", linewidth=0.8, label="contacts")
+    events = run.events
+    whole = events["blocks"] == run.chain.count
+    for chosen, label, marker in (
+        (whole, "event of all blocks", "v"),
+        (~whole, "precursor", "|"),
+    ):
+        if chosen.any():
+            place = events["t"][chosen], events["peak"][chosen]
+            top.plot(*place, label=label, **DOTS | {"color": "C3", "marker": marker})
+    top.set(ylabel=caption.force, ylim=(min(0.0, run.spring.min()), None))
+    caption.beside(top)
+    top.set_title(caption.heading)
+    top.legend(loc="lower right")
+    low.plot(run.t, run.roughness, color="C2")
+    low.set(xlabel=caption.along("t"), xlim=(run.t[0], run.t[-1]), ylim=(0, None))
+    low.set_ylabel(caption.unit("standard deviation\nof $X$ between blocks"))
+    return figure
+
+
+@styled
+def fronts_figure(run: "ChainTrajectory", caption: Caption) -> Figure:
+    """Draw the blocks that break in each event of the first replica against time, and
+    the event with most blocks closely, with the straight lines of its fronts."""
+    figure = Figure(figsize=(10, 4.6))
+    left, right = figure.subplots(1, 2)
+    events, broke, fronts = (
+        {name: column[table["replica"] == 0] for name, column in table.items()}
+        for table in (run.events, run.broke, run.fronts)
+    )
+    left.plot(broke["t"], broke["block"], ".", color="C0", markersize=3)
+    left.set(xlabel=caption.along("t"), ylabel="block", xlim=(run.t[0], run.t[-1]))
+    left.set(ylim=(-0.5, run.chain.count - 0.5), title="blocks that break")
+    largest = events["event"][np.argmax(events["blocks"])]
+    here = broke["event"] == largest
+    begin = float(broke["t"][here].min())
+    right.plot(broke["t"][here] - begin, broke["block"][here], **DOTS)
+    mine = np.flatnonzero(fronts["event"] == largest)
+    for color, i in zip(("C3", "C1"), mine, strict=False):
+        speed, error = fronts["speed"][i], fronts["speed_stderr"][i]
+        steps = np.arange(fronts["blocks"][i])
+        along = fronts["t"][i] - begin + steps / speed
+        blocks = fronts["block"][i] + fronts["direction"][i] * steps
+        label = f"{speed:.3g} ± {error:.1g} blocks/time, {run.kind_of(speed)}"
+        right.plot(along, blocks, color=color, linewidth=1, label=label)
+    right.set(xlabel="time since the first block broke", ylabel="block")
+    right.set(ylim=(-0.5, run.chain.count - 0.5), title="the largest event")
+    if mine.size:
+        right.legend(loc="best")
+    for axes in (left, right):
+        axes.yaxis.get_major_locator().set_params(integer=True)
+    figure.suptitle(caption.heading)
+    return figure

@@ -1,0 +1,108 @@
+"""Results of `eqsim run` for a chain of blocks that moves in time."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from eqsim.engine.chain_records import ChainTrajectory
+from eqsim.lazy import lazily
+from eqsim.workflows.report import Solved
+from eqsim.workflows.run import ProgrammeResult
+
+with lazily():
+    from eqsim.plots import chains as draw
+
+_MOST_EVENTS = 20  # events that a table shows
+_MEANS = ("static_friction", "recurrence", "precursors", "front_speed")
+
+
+@dataclass(frozen=True, repr=False)
+class ChainResult(ProgrammeResult):
+    """Simulation of a run file with a chain of blocks in time."""
+
+    trajectory: ChainTrajectory
+    exact = Solved(None)
+
+    def summary(self) -> dict[str, Any]:
+        """Forces of segments, means over events and fronts, and how slip is spread."""
+        run = self.trajectory
+        means = {name: getattr(run, name).as_dict() for name in _MEANS}
+        whole = run.events["blocks"] == run.chain.count
+        found = {
+            **{"events": whole.size, "full_events": int(whole.sum())},
+            "fronts": run.fronts["t"].size,
+            "wave_speed": run.chain.wave_speed if run.chain.mass else None,
+            **{"gini": run.gini, "correlation_length": run.correlation_length},
+            "steps": sum(run.steps),
+        }
+        return super().summary() | means | found
+
+    def tables(self) -> dict[str, Any]:
+        """The trajectory, every block at every record, blocks that broke, events and
+        fronts."""
+        run = self.trajectory
+        lists = {"blocks": run.blocks, "broke": run.broke}
+        return super().tables() | lists | {"events": run.events, "fronts": run.fronts}
+
+    def figures(self, title: str) -> dict[str, Any]:
+        """The force of the drive, and events and fronts in space and time."""
+        run, level = self.trajectory, float(np.abs(self.trajectory.spring).max())
+        caption = self.caption(title, level)
+        figures = {"force": draw.chain_figure(run, caption)}
+        if run.events["t"].size:
+            figures["fronts"] = draw.fronts_figure(run, caption)
+        return figures
+
+    def rows(self) -> Iterator[tuple[Any, ...]]:
+        """Each event with its fastest front; segments if there is no event."""
+        run = self.trajectory
+        events, fronts = run.events, run.fronts
+        if not events["t"].size:
+            yield from super().rows()
+            return
+        yield "event", "at t", "takes", "blocks", "peak", "drop", "fastest front", ""
+        for i in range(min(_MOST_EVENTS, events["t"].size)):
+            here = (fronts["event"] == events["event"][i]) & (
+                fronts["replica"] == events["replica"][i]
+            )
+            front = ("none", "")
+            if here.any():
+                fastest = np.flatnonzero(here)[np.argmax(fronts["speed"][here])]
+                speed = float(fronts["speed"][fastest])
+                error = float(fronts["speed_stderr"][fastest])
+                front = f"{speed:.3g} +- {error:.1g}", run.kind_of(speed)
+            kind = f"{events['blocks'][i]}"
+            kind += " (all)" if events["blocks"][i] == run.chain.count else ""
+            sizes = (f"{events[name][i]:.5g}" for name in ("t", "duration"))
+            forces = (f"{events[name][i]:.4g}" for name in ("peak", "drop"))
+            yield str(i), *sizes, kind, *forces, *front
+        if events["t"].size > _MOST_EVENTS:
+            yield "...", *[""] * 7
+
+    def doubts(self) -> Iterator[str]:
+        """Notes on events, means over them, and on the start and errors."""
+        run = self.trajectory
+        events = run.events["blocks"]
+        whole = int(np.sum(events == run.chain.count))
+        yield (
+            f"{events.size} events, {whole} of all blocks"
+            if events.size
+            else "no event: no block broke while one moved twice as fast as the drive"
+        )
+        said = {
+            "static friction before events of all blocks": run.static_friction,
+            "their recurrence": run.recurrence,
+            "precursors break": run.precursors,
+            "speed of fronts": run.front_speed,
+        }
+        known = [f"{k} {v}" for k, v in said.items() if v.value is not None]
+        if known:
+            more = f", c = {run.chain.wave_speed:.4g}" if run.chain.mass else ""
+            yield "; ".join(known) + more * (run.front_speed.value is not None)
+        yield f"slip: Gini coefficient {run.gini:.3g}, correlation length {run.correlation_length:.3g} blocks"
+        if self.drive.start == "stationary":
+            yield "the stationary start is that of independent blocks"
+        if not run.force_reliable:
+            yield "force_stderr: scatter of contacts at the same X; the scatter of X is known from 8 replicas on"
