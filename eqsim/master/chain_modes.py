@@ -241,9 +241,9 @@ def _lowest(chain: Chain, K_d: float) -> float:
     the edge included, have the stiffness K_d + K (2 - 2 cos q)."""
     if chain.drive == "plate":
         return 0.0
-    diagonal = np.full(chain.blocks, 2.0 * chain.coupling)
+    diagonal = np.full(chain.count, 2.0 * chain.coupling)
     diagonal[[0, -1]] -= chain.coupling
-    if chain.blocks == 1:
+    if chain.count == 1:
         diagonal[0] = 0.0
     diagonal += chain.springs - K_d
     beside = np.full(chain.count - 1, -chain.coupling)
