@@ -61,7 +61,7 @@ _AHEAD = 0.5  # e-folds of the rate of a contact between a wall and the next
 # The run so far, and the avalanche that goes on.
 STATE = np.dtype(
     [
-        ("time", np.float64),
+        ("time", np.float64),  # since the last of the instants at which a run pauses
         ("level", np.float64),
         ("clock", np.float64),  # what is left until the next candidate
         ("candidates", np.int64),  # so far
@@ -125,7 +125,8 @@ class Place(NamedTuple):
 class Way(NamedTuple):
     """Motion of the plate, and where random numbers of candidates come from."""
 
-    until: float  # time
+    begin: float  # time at which `STATE` has 0
+    until: float  # time since then
     speed: float  # change of the level over time
     gain: float  # change of the force over that of the level
     width: float  # from a block to its new wall; infinite without heat
@@ -182,8 +183,12 @@ def _bound(laws: Contacts, b: Blocks, block: int, contact: int, X: float) -> flo
 
 
 @routine(inline=True)
-def _note_rate(b: Blocks, block: int, total: float) -> None:
-    """Set the sum of the bounds of a block."""
+def _note_rate(b: Blocks, block: int) -> None:
+    """Add up the bounds of a block, all anew: the bound of a contact that breaks may be
+    so large that a difference rounds those of all others away."""
+    total = 0.0
+    for i in range(b.start[block], b.start[block + 1]):
+        total += b.bound[i]
     node = b.rates.size // 2 + block
     b.rates[node] = total
     node //= 2
@@ -206,12 +211,10 @@ def _aim(b: Blocks, block: int) -> None:
 def _renew(laws: Contacts, b: Blocks, width: float, block: int, X: float) -> None:
     """Move the wall of a block at X, and bound the rates of its contacts."""
     b.wall[block] = X + width
-    total = 0.0
     if thermal(laws.barrier):
         for i in range(b.start[block], b.start[block + 1]):
             b.bound[i] = _bound(laws, b, block, i, X)
-            total += b.bound[i]
-        _note_rate(b, block, total)
+        _note_rate(b, block)
 
 
 @routine
@@ -283,9 +286,8 @@ def _break(
     b.xi[i] = draw_birth(laws.newborn, laws, key, number, b.lives[i]).threshold
     b.lives[i] += 1
     if thermal(laws.barrier):
-        total = b.rates[b.rates.size // 2 + block] - b.bound[i]
         b.bound[i] = _bound(laws, b, block, i, X)
-        _note_rate(b, block, max(total, 0.0) + b.bound[i])
+        _note_rate(b, block)
     _aim(b, block)
     if b.last[block] != now.avalanches:
         b.last[block] = now.avalanches
@@ -342,7 +344,7 @@ def follow(
                 if rows == events.size:
                     return rows, False
                 event = events[rows]
-                event.time, event.level = now.time, now.level
+                event.time, event.level = way.begin + now.time, now.level
                 event.block, event.breaks = now.block, now.size
                 event.blocks, event.by_heat = now.blocks, now.by_heat
                 event.before, event.drop = now.before, now.before - now.force
@@ -448,14 +450,15 @@ def interface_of(
 
 
 class Instants(NamedTuple):
-    """Times of records, of the edges of batches, and at which a signal may stop a run;
-    those at which segments of the programme end, and the velocity of the plate along
-    them, over the pace."""
+    """Instants of records, of the edges of batches, and at which a signal may stop a
+    run, in segments of the programme: 1.25 is a quarter into the second one. How long
+    segments take, and the velocity of the plate along them, over the pace. So a hold,
+    however long, leaves what comes after it its resolution."""
 
     records: Array
     edges: Array
     pauses: Array
-    ends: Array
+    durations: Array
     speeds: Array
 
 
@@ -477,7 +480,7 @@ def simulate(
     n, count = contacts.mean(), int(contacts.sum())
     b = _blocks_of(interface)
     way = Way(
-        0.0, interface.speed, float(contacts @ interface.share) / n, interface.ahead, n,
+        0.0, 0.0, interface.speed, float(contacts @ interface.share) / n, interface.ahead, n,
         interface.candidates, replica, replica * count,
     )  # fmt: skip
     state = np.zeros(1, STATE)
@@ -496,15 +499,23 @@ def simulate(
     )
     done = run.restore(keep, replica)
     told(int(now["breaks"]))
-    for index, time in enumerate(np.unique(np.concatenate(instants[:-1]))):
+    durations = instants.durations
+    ends = np.arange(durations.size + 1.0)
+    every = np.unique(np.concatenate((*instants[:3], ends)))
+    elapsed = np.interp(every, ends, np.append(0.0, np.cumsum(durations)))
+    for index, instant in enumerate(every):
         if index < done:
             continue
         before = int(now["breaks"])
-        middle = 0.5 * (float(now["time"]) + time)
-        segment = min(np.searchsorted(instants.ends, middle), instants.ends.size - 1)
-        speed = interface.speed * float(instants.speeds[segment])
-        until = way._replace(until=time, speed=speed)
-        followed = laws, key, b, interface.response, until, state
+        last = max(index - 1, 0)
+        segment = min(int(every[last]), durations.size - 1)
+        way = way._replace(
+            begin=float(elapsed[last]),
+            until=float(instant - every[last]) * float(durations[segment]),
+            speed=interface.speed * float(instants.speeds[segment]),
+        )
+        now["time"] = 0.0
+        followed = laws, key, b, interface.response, way, state
         events.append(events_of(AVALANCHE, follow, *followed))
         told(int(now["breaks"]) - before)
         if now["unbounded"]:
@@ -514,16 +525,20 @@ def simulate(
         births = np.add.reduceat(b.birth, of)
         squares = np.add.reduceat(b.birth**2, of) / contacts
         now["force"] = np.sum(contacts * X - births) / n
-        if time in instants.records:
-            row = records[np.searchsorted(instants.records, time)]
-            row["X"] = X
-            row["force"] = (contacts * X - births) / n
+        rows = instants.records == instant
+        if rows.any():
+            records["X"][rows] = X
+            records["force"][rows] = (contacts * X - births) / n
             mean = births / contacts
-            row["variance"] = np.maximum(squares - mean**2, 0.0)
-            row["breaks"] = b.breaks
-        if time in instants.edges:
-            names = "impulse", "time", "breaks", "avalanches", "singles"
-            totals.append(np.array([float(now[name]) for name in names]))
+            records["variance"][rows] = np.maximum(squares - mean**2, 0.0)
+            records["breaks"][rows] = b.breaks
+        if instant == instants.edges[0]:
+            now["impulse"] = 0.0
+        if instant in instants.edges:
+            passed = (instant - instants.edges[0]) * durations[-1]
+            names = "impulse", "breaks", "avalanches", "singles"
+            impulse, *counts = (float(now[name]) for name in names)
+            totals.append(np.array([impulse, passed, *counts]))
         run.save(keep, replica, index + 1)
     sums = np.array(totals)
     sums[:, 0] /= contacts.size

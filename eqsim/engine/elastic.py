@@ -386,20 +386,18 @@ class _WarmInterface(NamedTuple):
         pace = max(segment.velocity for segment in segments)
         blocks = block_events.interface_of(ensemble, elastic, pace, seed)
         scale = pace / ensemble.thresholds.scale
-        ends = np.cumsum([segment.duration for segment in segments]) * scale
-        times, end = grid.t * scale, float(ends[-1])
-        last = end - 0.5 * segments[-1].duration * scale
-        moved = 0.5 * (segments[-1].path or 1.0) / ensemble.thresholds.mean
+        moved = 0.5 * segments[-1].path / ensemble.thresholds.mean
         edges = 1 + int(np.clip(moved / _SHORTEST_BATCH, 2, _MOST_BATCHES))
         lives = _expected(ensemble, programme, elastic)
+        end = len(segments)
         instants = block_events.Instants(
-            times,
-            np.linspace(last, end, edges),
-            np.linspace(0.0, end, 1 + math.ceil(lives / _BETWEEN_PAUSES)),
-            ends,
+            _passed(programme, grid),
+            np.linspace(end - 0.5, end, edges),
+            np.linspace(0.0, end, 1 + end * math.ceil(lives / _BETWEEN_PAUSES)),
+            np.array([segment.duration for segment in segments]) * scale,
             np.array([segment.velocity / pace for segment in segments]),
         )
-        return cls(ensemble.count, blocks, instants, times.size)
+        return cls(ensemble.count, blocks, instants, grid.t.size)
 
     def begun(self) -> "_WarmInterface":
         zero = np.zeros(1)
@@ -451,6 +449,22 @@ def _programme_of(drive: Drive | Programme, ensemble: Ensemble) -> Programme:
         return drive
     segment = Segment(drive.velocity, distance=drive.over(ensemble))
     return Programme((segment,), elastic=drive.elastic)
+
+
+def _passed(programme: Programme, grid: Grid) -> Array:
+    """Segments that have passed at each instant of a grid (`block_events.Instants`)."""
+    found = np.zeros(grid.t.size)
+    for index, segment in enumerate(programme.segments):
+        here = np.flatnonzero(grid.segment == index)
+        if index == 0:
+            here = here[1:]
+        before = here[0] - 1
+        way, whole = (
+            (grid.X, segment.path) if segment.velocity else (grid.t, segment.duration)
+        )
+        found[here] = index + np.minimum((way[here] - way[before]) / whole, 1.0)
+        found[here[-1]] = index + 1.0
+    return found
 
 
 def _expected(ensemble: Ensemble, programme: Programme, elastic: Elastic) -> float:

@@ -304,6 +304,33 @@ def test_creep_below_threshold(coupling, known, error):
     assert abs(more - known) > 4.5 * np.hypot(stderr, error)
 
 
+def test_contacts_that_outlive_a_hold():
+    """Five contacts close to their thresholds break, and form again behind a barrier of
+    50 kT: in 1e17 attempts 1e-4 of them break once more, in the mean. The bound of the
+    last one that was loaded is 1e20 times those of the others."""
+    load = Segment(1e3, distance=0.97, points=1)
+    drive = Programme(
+        [load, Segment(time=1e17, points=1)], elastic=Elastic(1, 0.0, 1e4)
+    )
+    contacts = Ensemble(Delta(1.0), Thermal(0.01), count=5, **UNIFORM)
+    found = elastic_trajectory(contacts, drive, points=3, replicas=40)
+    assert found.lives == 40 * (5 + 5)
+
+
+def test_a_hold_leaves_motion_its_resolution():
+    """At T = 0 the plate goes on after a hold of any length as if there had been none."""
+    before, after = (Segment(1.0, distance=way, points=3) for way in (3.0, 5.0))
+    cold, runs = Ensemble(count=20, **UNIFORM), []
+    for hold in (1.0, 1e16):
+        pieces = [before, Segment(time=hold, points=2), after]
+        drive = Programme(pieces, elastic=Elastic(4, 1.0, 0.5))
+        runs.append(elastic_trajectory(cold, drive))
+    for name in ("X", "force", "D"):
+        ours, theirs = (getattr(run, name) for run in runs)
+        np.testing.assert_array_equal(ours, theirs)
+    assert runs[0].friction.value == runs[1].friction.value
+
+
 def test_force_of_the_edge():
     """F_e at displacements of the edge, of 64 blocks of 512 contacts at T = 0 beside the
     same chain of blocks with the exact mean force F(X): scores in the scatter of sums of
