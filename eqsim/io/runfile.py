@@ -26,12 +26,13 @@ from eqsim.errors import (
     InputError,
     meant,
     require_choice,
+    require_integer,
     require_number,
     shown,
     under,
 )
 from eqsim.estimate import Averages, Estimate
-from eqsim.io import schema
+from eqsim.io import csv, schema
 from eqsim.io.labels import described, of_trajectory
 from eqsim.io.tables import DriveRecord, RecordedDrive, read_drive, read_thresholds
 from eqsim.io.units import (
@@ -721,6 +722,7 @@ def stored(settings: dict[str, Any], folder: Path | str = "") -> RunFile:
 def check(data: dict[str, Any], folder: Path = Path()) -> RunFile:
     """A run file from its content; paths in it start in `folder`. Raises InputError
     with one line that names the field."""
+    data = _with_blocks(data)
     content = schema.validated(data)
     given = content.model_dump(exclude_unset=True, exclude_none=True)
     given |= {name: data[name] for name in ("sweep", "fit") if data.get(name)}
@@ -728,12 +730,56 @@ def check(data: dict[str, Any], folder: Path = Path()) -> RunFile:
     _heat(file)
     _ = file.units, file.interface, file.output
     _stage(file)
+    _load(file)
     for index, population in enumerate(file.settings["population"] or []):
         with under(f"population.{index}"):
             merged = population_alone(file, index).settings
         population |= {name: merged[name] for name in schema.OF_POPULATION}
         population["stiffness"] = merged["contacts"]["stiffness"]
     return file
+
+
+def _with_blocks(data: dict[str, Any]) -> dict[str, Any]:
+    """The content of a run file with the keys of blocks that stand in [interface], as
+    they may, in [elastic]. Raises InputError for one that stands in both."""
+    named = schema.keys_of("elastic")
+
+    def moved(key: str) -> str:
+        section, _, name = key.partition(".")
+        return f"elastic.{name}" if section == "interface" and name in named else key
+
+    data = dict(data)
+    if isinstance(interface := data.get("interface"), dict):
+        blocks = {key: interface[key] for key in interface if key in named}
+        elastic = data.get("elastic")
+        if blocks and isinstance(elastic, dict | None):
+            for key in blocks.keys() & (elastic or {}).keys():
+                raise InputError(f"interface.{key}: stands in [elastic], too")
+            data["elastic"] = (elastic or {}) | blocks
+            data["interface"] = {k: v for k, v in interface.items() if k not in named}
+    if isinstance(sweep := data.get("sweep"), dict):
+        data["sweep"] = {moved(key): value for key, value in sweep.items()}
+    return data
+
+
+def _load(file: RunFile) -> None:
+    """Put the numbers of elastic.load, which may be a file or the first and the last of
+    them, in its place. Raises InputError."""
+    given = file.settings["elastic"]
+    load = given["load"] if given else None
+    if isinstance(load, str):
+        where = f"elastic.load = {load}"
+        sheet = csv.read(path_of("elastic.load", file.folder, load), where)
+        load = csv.numbers(sheet, sheet.columns[:1], strict=True).values[:, 0].tolist()
+    elif isinstance(load, dict):
+        if load.keys() != {"first", "last"}:
+            raise InputError("elastic.load: a table has `first` and `last`")
+        for name, value in load.items():
+            require_number(f"elastic.load.{name}", value, **POSITIVE)
+        require_integer("elastic.blocks", given["blocks"], 1, 10**7)
+        load = np.linspace(load["first"], load["last"], given["blocks"]).tolist()
+    if load is not None:
+        given["load"] = file.given["elastic"]["load"] = load
 
 
 def _heat(file: RunFile) -> None:

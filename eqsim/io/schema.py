@@ -115,7 +115,7 @@ _OTHERS = {
     "drive.programme.velocity": _NUMBER,
     "drive.programme.hold": _NUMBER,  # the time of a segment that does not move
     "elastic.blocks": Key(int, Annotated[Any, BeforeValidator(_whole)], ...),
-    "elastic.load": Key(list, list[Any] | None, None),
+    "elastic.load": Key(list, list[Any] | dict[str, Any] | str | None, None),
 }
 
 

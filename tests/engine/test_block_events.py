@@ -450,3 +450,38 @@ def test_a_run_that_was_stopped_goes_on(tmp_path, monkeypatch, heat):
     for name, column in whole.avalanches.items():
         np.testing.assert_array_equal(again.avalanches[name], column)
     assert not list(out.glob(".unfinished-*"))
+
+
+def test_blocks_may_stand_in_the_interface(tmp_path):
+    """The same numbers from [interface], from a load by its ends or from a file, and by
+    --set; a key in both sections is refused."""
+    (tmp_path / "w.csv").write_text("weight\n1\n1.5\n2\n2.5\n")
+    alias = RUN_FILE.replace("[elastic]", "[interface]")
+    cut = "load = [1, 1.2, 1, 0.8]"
+    texts = {
+        "list": RUN_FILE.replace(cut, "load = [1, 1.5, 2, 2.5]"),
+        "alias": alias.replace(cut, "load = { first = 1.0, last = 2.5 }"),
+        "file": alias.replace(cut, 'load = "w.csv"'),
+    }
+    found = {}
+    for name, text in texts.items():
+        (tmp_path / f"{name}.toml").write_text(text)
+        found[name] = opened(tmp_path / f"{name}.toml")
+    first = run_file(found["list"]).trajectory
+    for file in found.values():
+        assert file.drive == found["list"].drive
+    np.testing.assert_array_equal(run_file(found["file"]).trajectory.X, first.X)
+    changed = opened(tmp_path / "alias.toml", changes={"interface.coupling": 7.0})
+    assert changed.drive.elastic.coupling == 7.0
+    for text, said in (
+        (
+            alias + "[elastic]\nblocks = 4\n",
+            "interface.blocks: stands in [elastic], too",
+        ),
+        (alias.replace(cut, "load = { first = 1.0 }"), "elastic.load: a table has"),
+        (alias.replace(cut, 'load = "no.csv"'), "elastic.load = no.csv"),
+    ):
+        (tmp_path / "bad.toml").write_text(text)
+        done = call("run", tmp_path / "bad.toml")
+        assert done.exit_code == 2
+        assert said in " ".join(done.output.split())
