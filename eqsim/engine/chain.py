@@ -32,6 +32,7 @@ from eqsim.engine.chain_steps import (
     march,
 )
 from eqsim.engine.contacts import contacts
+from eqsim.engine.keeping import Keep, State
 from eqsim.engine.records import by_replica
 from eqsim.engine.slider import BLOCK, CONTACT, FIRST_STEP, SUMS, find_stationary
 from eqsim.engine.slider_runs import (
@@ -176,8 +177,8 @@ class _Run(NamedTuple):
     steps: int
 
 
-def _mean_over(c: Chained) -> tuple[float, ...]:
-    """The chain at an instant, as `MEANS` has it: means over blocks."""
+def _mean_over(c: Chained) -> Array:
+    """The chain at an instant, the numbers of `MEANS`: means over blocks."""
     links, b, s, sums = c.links, c.blocks, c.course[0], c.now
     weight = np.diff(links.ends) / links.mean_count
     drag = links.drag * (weight - sums["pinned"]) * b.V
@@ -187,11 +188,9 @@ def _mean_over(c: Chained) -> tuple[float, ...]:
     stored = 0.5 * (stored + links.mass * b.V**2) + sums["stored"]
     means = b.X, np.full(b.X.size, s["Y"]), sums["force"] + drag, sums["pinned"]
     energies = np.mean(stored), s["damped"] + s["lost"], s["missed"]
-    return (
-        *map(np.mean, means),
-        float(np.mean(variance)) / c.population.size,
-        *(s["work"], *energies, float(np.mean(b.behind))),
-    )
+    spread = np.mean(variance) / c.population.size
+    behind = np.mean(b.behind)
+    return np.array([*map(np.mean, means), spread, s["work"], *energies, behind])
 
 
 def _record(c: Chained) -> Array:
@@ -247,14 +246,17 @@ def follow(
     stop: Array,
     told: Callable[[int, float], None],
     sharing: Sharing | None = None,
+    keep: Keep | None = None,
+    number: int = 0,
 ) -> _Run:
     """Follow a chain through its programme. `told` gets the breaks since it was called
-    last, and the time."""
+    last, and the time; `keep` the state at records, as that of replica `number`."""
     advance = sharing.march if sharing else march
     means = [_mean_over(c)]
     records = [_record(c)]
     s = c.course[0]
-    lists: tuple[list[Array], list[Array]] = [], []
+    broke: list[Array] = []
+    events: list[Array] = []
     breaks = 0.0
 
     def tell() -> None:
@@ -262,7 +264,14 @@ def follow(
         before, breaks = breaks, float(c.blocks.breaks.sum())
         told(round(breaks - before), float(s["time"]))
 
-    row = 1
+    arrays = {"population": c.population, "now": c.now, "course": c.course}
+    rows = {"means": means, "records": records}
+    chunks = {"broke": broke, "events": events}
+    state = State(c.blocks._asdict() | arrays, rows, chunks)
+    if done := state.restore(keep, number):
+        del means[0], records[0]  # those of the start, which the state has, too
+        tell()
+    row = max(1, done)
     for end, speed in zip(pull.ends, pull.speeds, strict=True):
         while row < instants.size and instants[row] <= end * (1.0 + 1e-12):
             until = min(float(instants[row]), end)
@@ -271,19 +280,18 @@ def follow(
                 if stop[0]:
                     raise CancelledError
                 tell()
-                for kept, full, name in zip(
-                    lists, (c.broke, c.events), ("rows", "events"), strict=True
-                ):
-                    kept.append(full[: s[name]].copy())
-                    s[name] = 0
+                broke.append(c.broke[: s["rows"]].copy())
+                events.append(c.events[: s["events"]].copy())
+                s["rows"] = s["events"] = 0
             means.append(_mean_over(c))
             records.append(_record(c))
             row += 1
-    broke, events = (np.concatenate(kept) for kept in lists)
-    course = np.array(means, MEANS)
+            state.save(keep, number, row)
+    course = np.array(means).view(MEANS)[:, 0]
     course["stored"] -= course["stored"][0]
     lives = round(breaks) + c.population.size
-    return _Run(course, np.array(records), broke, events, lives, int(s["steps"]))
+    lists = np.concatenate(broke), np.concatenate(events)
+    return _Run(course, np.array(records), *lists, lives, int(s["steps"]))
 
 
 def _check(
@@ -306,8 +314,10 @@ def chain_trajectory(
     output: Output,
     threads: Threads,
     progress: Progress | None,
+    keep: Keep | None = None,
 ) -> ChainTrajectory:
-    """Simulate `trajectory.trajectory` of a chain of blocks."""
+    """Simulate `trajectory.trajectory` of a chain of blocks; `keep` is where its states
+    are."""
     chain, pull = _check(ensemble, programme, output)
     grid, unit = programme.grid(output.points), ensemble.thresholds.scale
     instants = grid.t * (pull.pace / unit)
@@ -325,11 +335,13 @@ def chain_trajectory(
         c = chained(ensemble, programme, output.seed, replica, longer)
         here = instants if longer == 1 else instants[coarse_instants(grid.segment)]
         tell = (lambda breaks, _: told(breaks)) if longer == 1 else (lambda *_: None)
+        run = c, pull, here, pool.stop, tell
+        place = keep, 2 * replica + (longer > 1)
         if sharing < 2:
-            return follow(c, pull, here, pool.stop, tell)
+            return follow(*run, None, *place)
         with ThreadPool(sharing - 1) as helpers:
             shares = Sharing.of(helpers, c, sharing)
-            return follow(c, pull, here, pool.stop, tell, shares)
+            return follow(*run, shares, *place)
 
     tasks = [(i, longer) for i in range(output.replicas) for longer in (1, COARSER)]
     most = int(ensemble.count / (_BLOCKS_PER_THREAD * BLOCK))

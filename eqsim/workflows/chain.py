@@ -2,13 +2,19 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from eqsim.engine.chain import chain_trajectory
 from eqsim.engine.chain_records import ChainTrajectory
+from eqsim.engine.trajectory import check_run, guarded
+from eqsim.io.runfile import RunFile
+from eqsim.io.states import kept
 from eqsim.lazy import lazily
-from eqsim.workflows.report import Solved
+from eqsim.model.drive import Programme
+from eqsim.workflows.report import Progress, Solved
 from eqsim.workflows.run import ProgrammeResult
 
 with lazily():
@@ -106,3 +112,27 @@ class ChainResult(ProgrammeResult):
             yield "the stationary start is that of independent blocks"
         if not run.force_reliable:
             yield "force_stderr: scatter of contacts at the same X; the scatter of X is known from 8 replicas on"
+
+
+def run_chain(
+    file: RunFile,
+    *,
+    threads: int,
+    max_lives: float,
+    progress: Progress,
+    keep: Path | None,
+) -> ChainResult:
+    """Simulate a run file whose `drive` has a chain; `keep` as in `run`. Raises
+    InputError."""
+    ensemble, drive, output = file.ensemble, file.drive, file.output
+    assert isinstance(drive, Programme)
+    expected = check_run(ensemble, drive, output, max_lives)
+    progress(0, expected)
+
+    def told(lives: int) -> None:
+        progress(lives, max(lives, expected))
+
+    guard = guarded(told, expected, max_lives)
+    with kept(file, keep) as states:
+        found = chain_trajectory(ensemble, drive, output, threads, guard, states)
+    return ChainResult(file, found)

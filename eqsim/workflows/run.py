@@ -524,14 +524,19 @@ def run(
     """
     file = opened(file, folder)
     ensemble, drive, output = file.ensemble, file.drive, file.output
-    if drive.elastic:
+    chain = isinstance(drive, Programme) and drive.chain
+    if drive.elastic or chain:
         if workers:
             raise InputError(
                 "--workers, --dask: coupled blocks are simulated in one process; threads share replicas"
             )
         how: dict[str, Any] = {"threads": threads, "max_lives": max_lives}
-        how["progress"] = progress
-        return run_elastic(file, drive, **how, keep=keep)
+        how |= {"progress": progress, "keep": keep}
+        if chain:
+            from eqsim.workflows.chain import run_chain
+
+            return run_chain(file, **how)
+        return run_elastic(file, drive, **how)
     draws: dict[str, Any] = {"seed": output.seed, "replicas": output.replicas}
     rough = 5e-3 if ensemble.fluctuates else 1e-3  # lives with paths cost more
     with ExitStack() as stack:
@@ -542,8 +547,6 @@ def run(
             )
         if output.breaks and isinstance(drive, Drive):
             check_breaks(ensemble, drive, output)
-        if workers and isinstance(drive, Programme) and drive.chain:
-            raise InputError("--workers, --dask: a chain is simulated by threads only")
         pool = stack.enter_context(workers.fixed_pool()) if workers else None
         progress(0, expected)
         level = None
@@ -563,9 +566,5 @@ def run(
             breaks(ensemble, drive, **draws, threads=threads) if output.breaks else None
         )
         return RunResult(file, level, simulated, listed, who, exact)
-    if drive.chain:
-        from eqsim.workflows.chain import ChainResult
-
-        return ChainResult(file, simulated, who)
     kind = SliderResult if drive.pulled else ProgrammeResult
     return kind(file, simulated, who, exact)

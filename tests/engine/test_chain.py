@@ -29,6 +29,7 @@ from eqsim.engine.chain_records import fronts_of
 from eqsim.engine.chain_steps import follow_all, march
 from eqsim.engine.slider import Slider
 from eqsim.io.runfile import check
+from eqsim.io.states import States
 from eqsim.master.chain_fronts import front_prestress
 from eqsim.workflows.run import run as run_file
 
@@ -397,6 +398,33 @@ def test_run_files(tmp_path):
     for number, begin, end in zip(events["event"], events["t"], ends, strict=True):
         t = found.trajectory.broke["t"][found.trajectory.broke["event"] == number]
         assert np.all((begin <= t) & (t <= end))
+
+
+def test_a_run_that_was_stopped_goes_on(tmp_path, monkeypatch):
+    """With the same bits, in its first run and in that of longer steps."""
+    file = check(tomllib.loads(RUN))
+    whole = run_file(file).trajectory
+    monkeypatch.setattr("eqsim.io.states._EVERY", 0.0)
+    save = States.save
+    for number, row in ((0, 20), (1, 5)):
+
+        def saved(states, replica, state, stop=(number, row)):
+            save(states, replica, state)
+            if (replica, int(state["done"])) == stop:
+                raise InputError("stopped")
+
+        monkeypatch.setattr(States, "save", saved)
+        with pytest.raises(InputError, match="stopped"):
+            run_file(file, keep=tmp_path)
+    monkeypatch.setattr(States, "save", save)
+    again = run_file(file, keep=tmp_path).trajectory
+    assert again.lives == whole.lives
+    for name in ("X", "force_stderr", "energy"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))
+    for name in ("blocks", "broke", "events", "fronts"):
+        theirs = getattr(again, name)
+        for column, values in getattr(whole, name).items():
+            np.testing.assert_array_equal(theirs[column], values)
 
 
 @pytest.mark.parametrize(
