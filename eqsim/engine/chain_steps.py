@@ -75,6 +75,10 @@ class Blocks(NamedTuple):
     by_motion: Array
     by_heat: Array
     counted: Array  # breaks that these means are of
+    rho: Array  # change of the force by breaks per displacement
+    r: Array  # and per time
+    damping: Array  # of a block and of its detached contacts
+    theta: Array  # share of a step after which forces on the mass are balanced
     breaks: Array  # so far
     dX: Array  # in the step, as all that follows
     next_V: Array
@@ -86,6 +90,7 @@ class Blocks(NamedTuple):
     lag: Array  # displacement that follows from it
     jump: Array  # change of the acceleration
     pivot: Array  # of the tridiagonal matrix
+    lower: Array  # elements beside the diagonal over the pivots
     corner: Array  # response to the corners of that of a ring
     broken: Array  # 1 if half of the contacts have broken in the event
     breaks_before: Array  # so far, at the beginning of the event
@@ -167,39 +172,23 @@ def _differences(links: Links, x: Array, j: int) -> float:
 
 
 @routine(inline=True)
-def _rho(c: Chained, j: int) -> float:
-    """Change of the force by breaks per displacement. In a coupled chain no step is
-    expected to lose more force than there is: a front leaves hardly any."""
+def _know_blocks(c: Chained) -> None:
+    """Fill what follows from the sums and the breaks of blocks between two steps. In a
+    coupled chain no step is expected to lose more force than there is: a front leaves
+    hardly any."""
     links, b = c.links, c.blocks
-    rho = -b.by_motion[j] / max(b.moved[j], 0.1 * links.longest)
-    if links.free:
-        return rho
-    return max(rho, -abs(c.now[j].force) / links.longest)
+    for j in range(b.X.size):
+        sums = c.now[j]
+        rho = -b.by_motion[j] / max(b.moved[j], 0.1 * links.longest)
+        if not links.free:
+            rho = max(rho, -abs(sums.force) / links.longest)
+        b.rho[j] = rho
+        b.r[j] = -b.by_heat[j] / b.waited[j] if b.waited[j] > 0.0 else 0.0
+        weight = (links.ends[j + 1] - links.ends[j]) / links.mean_count
+        b.damping[j] = links.damping + links.drag * (weight - sums.pinned)
 
 
 @routine(inline=True)
-def _r(b: Blocks, j: int) -> float:
-    """Change of the force by breaks per time."""
-    return -b.by_heat[j] / b.waited[j] if b.waited[j] > 0.0 else 0.0
-
-
-@routine(inline=True)
-def _damping(links: Links, b: Blocks, sums: Any, j: int) -> float:
-    """Damping of a block and of its detached contacts."""
-    weight = (links.ends[j + 1] - links.ends[j]) / links.mean_count
-    return links.damping + links.drag * (weight - sums.pinned)
-
-
-@routine(inline=True)
-def _theta(links: Links, sums: Any, j: int, dt: float) -> float:
-    """Share of a step after which forces on a mass are balanced: the middle, or the end
-    where vibrations of the block are faster than the step."""
-    elastic = links.springs[j] + sums.stiffness
-    elastic += 2.0 * links.coupling * links.neighbours[j]
-    return 0.5 if dt * dt * elastic < links.mass else 1.0
-
-
-@routine
 def _factor(links: Links, c: Chained, dt: float) -> float:
     """Fill the pivots of the tridiagonal matrix of a step. Returns the element beside
     its diagonal, and 1 if the matrix is not positive definite: then nothing holds the
@@ -208,12 +197,16 @@ def _factor(links: Links, c: Chained, dt: float) -> float:
     last = b.X.size - 1
     diagonal = b.pivot
     for j in range(last + 1):
-        elastic = links.springs[j] + c.now[j].stiffness + _rho(c, j)
+        elastic = links.springs[j] + c.now[j].stiffness + b.rho[j]
         elastic += links.coupling * links.neighbours[j]
-        damping = _damping(links, b, c.now[j], j)
+        damping = b.damping[j]
         damping += links.bulk * links.neighbours[j]
         if links.mass > 0.0:
-            inertia = links.mass / (_theta(links, c.now[j], j, dt) * dt * dt)
+            # the end of a step, where vibrations of the block are faster
+            stiffest = links.springs[j] + c.now[j].stiffness
+            stiffest += 2.0 * links.coupling * links.neighbours[j]
+            b.theta[j] = 0.5 if dt * dt * stiffest < links.mass else 1.0
+            inertia = links.mass / (b.theta[j] * dt * dt)
             diagonal[j] = inertia + damping / dt + 0.5 * elastic
         else:
             diagonal[j] = damping + _IMPLICIT * dt * elastic
@@ -226,14 +219,15 @@ def _factor(links: Links, c: Chained, dt: float) -> float:
         diagonal[last] -= off * off / head
     for j in range(last + 1):
         if j > 0:
-            diagonal[j] -= off * off / diagonal[j - 1]
+            b.lower[j] = off / diagonal[j - 1]
+            diagonal[j] -= off * b.lower[j]
         if not diagonal[j] > 0.0:
             return 1.0
     if links.periodic:
         b.corner.fill(0.0)
         b.corner[0] = head
         b.corner[last] = off
-        _eliminate(b.pivot, off, b.corner)
+        _eliminate(b, off, b.corner)
         share = 1.0 + b.corner[0] + off / head * b.corner[last]
         if not share > 0.0:
             return 1.0
@@ -242,21 +236,21 @@ def _factor(links: Links, c: Chained, dt: float) -> float:
     return off
 
 
-@routine
-def _eliminate(pivot: Array, off: float, x: Array) -> None:
-    """Solve a tridiagonal system of these pivots; `x` is its right-hand side first."""
+@routine(inline=True)
+def _eliminate(b: Blocks, off: float, x: Array) -> None:
+    """Solve a tridiagonal system of known pivots; `x` is its right-hand side first."""
     last = x.size - 1
     for j in range(1, last + 1):
-        x[j] -= off / pivot[j - 1] * x[j - 1]
-    x[last] /= pivot[last]
+        x[j] -= b.lower[j] * x[j - 1]
+    x[last] /= b.pivot[last]
     for j in range(last - 1, -1, -1):
-        x[j] = (x[j] - off * x[j + 1]) / pivot[j]
+        x[j] = (x[j] - off * x[j + 1]) / b.pivot[j]
 
 
-@routine
+@routine(inline=True)
 def _solve(links: Links, b: Blocks, off: float, x: Array) -> None:
     """Solve the system of a step; `x` is its right-hand side first."""
-    _eliminate(b.pivot, off, x)
+    _eliminate(b, off, x)
     if links.periodic:
         last = x.size - 1
         head = -0.5 * b.pivot[0]
@@ -265,7 +259,7 @@ def _solve(links: Links, b: Blocks, off: float, x: Array) -> None:
             x[j] -= both * b.corner[j]
 
 
-@routine
+@routine(inline=True)
 def _relax(links: Links, c: Chained, off: float, dt: float, x: Array) -> None:
     """Fill `x` with displacements after dt of a chain without mass from `net` and
     `gain`."""
@@ -273,8 +267,8 @@ def _relax(links: Links, c: Chained, off: float, dt: float, x: Array) -> None:
     size = x.size
     for j in range(size):
         if links.free:
-            elastic = links.springs[j] + c.now[j].stiffness + _rho(c, j)
-            damping = _damping(links, b, c.now[j], j)
+            elastic = links.springs[j] + c.now[j].stiffness + b.rho[j]
+            damping = b.damping[j]
             x[j] = relaxed(b.net[j], b.gain[j], elastic, damping, dt)
         else:
             x[j] = _IMPLICIT * dt * (2.0 * b.net[j] + b.gain[j] * _GAMMA * dt)
@@ -282,7 +276,7 @@ def _relax(links: Links, c: Chained, off: float, dt: float, x: Array) -> None:
         return
     _solve(links, b, off, x)
     for j in range(size):
-        damped = _damping(links, b, c.now[j], j) * x[j]
+        damped = b.damping[j] * x[j]
         damped += links.bulk * _differences(links, x, j)
         driven = _IMPLICIT * dt * (b.net[j] + b.gain[j] * dt)
         b.net[j] = _SECOND * damped + driven
@@ -291,7 +285,7 @@ def _relax(links: Links, c: Chained, off: float, dt: float, x: Array) -> None:
     _solve(links, b, off, x)
 
 
-@routine
+@routine(inline=True)
 def _estimate(c: Chained, dt: float, speed: float) -> tuple[float, float]:
     """Fill displacements in a step of dt and the velocities at its end. Returns the
     largest displacement, which is infinite where nothing holds the chain back, and the
@@ -309,16 +303,16 @@ def _estimate(c: Chained, dt: float, speed: float) -> tuple[float, float]:
         b.made_up_V[j] = share * b.behind_V[j]
     for j in range(size):
         spring = links.springs[j]
-        elastic = spring + c.now[j].stiffness + _rho(c, j)
+        elastic = spring + c.now[j].stiffness + b.rho[j]
         net = spring * (s.Y - b.X[j]) - c.now[j].force
         net += -elastic * b.made_up[j]
         if links.coupling > 0.0:
             apart = _differences(links, b.X, j) + _differences(links, b.made_up, j)
             net -= links.coupling * apart
-        gain = spring * speed - _r(b, j)
+        gain = spring * speed - b.r[j]
         if mass > 0.0:
             V = b.V[j] + b.made_up_V[j]
-            theta = _theta(links, c.now[j], j, dt)
+            theta = b.theta[j]
             b.dX[j] = net + 0.5 * gain * dt + mass / (theta * dt) * V
         b.net[j] = net
         b.gain[j] = gain
@@ -332,14 +326,14 @@ def _estimate(c: Chained, dt: float, speed: float) -> tuple[float, float]:
         b.dX[j] = b.made_up[j] + moved
         if mass > 0.0:
             V = b.V[j] + b.made_up_V[j]
-            b.next_V[j] = V + (moved / dt - V) / _theta(links, c.now[j], j, dt)
+            b.next_V[j] = V + (moved / dt - V) / b.theta[j]
         else:
             b.next_V[j] = (b.dX[j] if links.free else moved) / dt
         largest = max(largest, abs(b.dX[j] if links.free else moved))
     return largest, off
 
 
-@routine
+@routine(inline=True)
 def _begin_step(c: Chained, until: float, speed: float) -> tuple[float, float]:
     """Find the length of the next step and its displacements. Returns the length and
     the element beside the diagonal."""
@@ -347,33 +341,36 @@ def _begin_step(c: Chained, until: float, speed: float) -> tuple[float, float]:
     left = until - s.time
     dt = left if 1.2 * s.dt >= left else s.dt
     longest = 1.5 * c.links.longest
-    largest, off = _estimate(c, dt, speed)
-    while not largest <= longest and dt > SHORTEST_STEP:
-        dt *= 0.5
+    while True:
         largest, off = _estimate(c, dt, speed)
+        if largest <= longest or dt <= SHORTEST_STEP:
+            break
+        dt *= 0.5
     return dt, off
 
 
-@routine
+@routine(inline=True)
 def _follow(c: Chained, dt: float, first: int, last: int) -> None:
     """Follow the contacts of blocks first <= j < last along their pieces."""
     links, b = c.links, c.blocks
     for j in range(first, last):
         speed = abs(b.dX[j]) / dt if dt > 0.0 else 0.0
         piece = Piece(dt, speed, math.copysign(1.0, b.dX[j]))
-        total, part = c.totals[j], c.part_row[j]
-        total.fill(0.0)
+        columns = c.totals.shape[1]
+        for k in range(columns):
+            c.totals[j, k] = 0.0
         for begin in range(links.ends[j], links.ends[j + 1], BLOCK):
             here = Range(begin, min(begin + BLOCK, links.ends[j + 1]))
-            part.fill(0.0)
+            for k in range(columns):
+                c.part_row[j, k] = 0.0
             follow_range(c.laws, piece, c.key, c.first, c.population, here, c.part[j])
-            for k in range(total.size):
-                total[k] += part[k]
-        for k in range(total.size):
-            total[k] /= links.mean_count
+            for k in range(columns):
+                c.totals[j, k] += c.part_row[j, k]
+        for k in range(columns):
+            c.totals[j, k] /= links.mean_count
 
 
-@routine
+@routine(inline=True)
 def _fall_behind(c: Chained, dt: float, off: float) -> None:
     """Find what is left to make up for after a step, whose estimate `missed` forces at
     its end. In a free chain it did so before in proportion to time, as for a slider; in
@@ -383,7 +380,7 @@ def _fall_behind(c: Chained, dt: float, off: float) -> None:
     for j in range(lag.size):
         missed = b.missed[j]
         if not links.free:
-            expected = _rho(c, j) * b.dX[j] + _r(b, j) * dt
+            expected = b.rho[j] * b.dX[j] + b.r[j] * dt
             missed = -2.0 * c.then[j].impulse / dt - expected
         lag[j] = -0.5 * missed
         b.net[j] = 0.0
@@ -395,7 +392,7 @@ def _fall_behind(c: Chained, dt: float, off: float) -> None:
     for j in range(lag.size):
         velocity = 0.0
         if links.mass > 0.0:
-            velocity = lag[j] / (_theta(links, c.now[j], j, dt) * dt)
+            velocity = lag[j] / (b.theta[j] * dt)
         if math.isfinite(lag[j]):
             b.behind[j] = b.behind[j] - b.made_up[j] + lag[j]
             b.behind_V[j] = b.behind_V[j] - b.made_up_V[j] + velocity
@@ -405,7 +402,7 @@ def _fall_behind(c: Chained, dt: float, off: float) -> None:
     s.over = max(dt, s.over - dt)
 
 
-@routine
+@routine(inline=True)
 def _account(c: Chained, dt: float, speed: float) -> None:
     """Take a step in which forces are taken for their estimates in the mean. Dampers
     take what is left of the work of the springs."""
@@ -415,9 +412,9 @@ def _account(c: Chained, dt: float, speed: float) -> None:
     work, damped, lost, missed = 0.0, 0.0, 0.0, 0.0
     for j in range(size):
         now, then = c.now[j], c.then[j]
-        change = (now.stiffness + _rho(c, j)) * b.dX[j] + _r(b, j) * dt
+        change = (now.stiffness + b.rho[j]) * b.dX[j] + b.r[j] * dt
         b.missed[j] = then.force - now.force - change
-        momentum = _damping(links, b, now, j) * b.made_up[j]
+        momentum = b.damping[j] * b.made_up[j]
         momentum += links.mass * b.made_up_V[j]
         if links.bulk > 0.0:
             momentum += links.bulk * _differences(links, b.made_up, j)
@@ -438,7 +435,7 @@ def _account(c: Chained, dt: float, speed: float) -> None:
     s.missed += missed / size
 
 
-@routine
+@routine(inline=True)
 def _note_breaks(links: Links, b: Blocks, sums: Any, j: int, dt: float) -> None:
     """Take account of the breaks of a block in a step (`slider.BreakRates`). In a front
     all contacts of a block break within a short way, after which hardly any does. So in
@@ -464,7 +461,7 @@ def _note_breaks(links: Links, b: Blocks, sums: Any, j: int, dt: float) -> None:
     b.breaks[j] += breaks
 
 
-@routine
+@routine(inline=True)
 def _next_step(c: Chained, dt: float, cut: bool) -> float:
     """Length of the next step that the tolerance allows after one of dt, which is `cut`
     if it was not as long as it might have been (`slider.Slider`)."""
@@ -496,7 +493,7 @@ def _next_step(c: Chained, dt: float, cut: bool) -> float:
     return min(allowed, longest)
 
 
-@routine
+@routine(inline=True)
 def _force(c: Chained) -> float:
     """Force of all springs that drive, over N k."""
     links, b = c.links, c.blocks
@@ -506,7 +503,7 @@ def _force(c: Chained) -> float:
     return total / b.X.size
 
 
-@routine
+@routine(inline=True)
 def _watch(c: Chained, dt: float) -> None:
     """Tell when events begin and end, and when their blocks break, after a step."""
     links, b, s = c.links, c.blocks, c.course[0]
@@ -556,7 +553,7 @@ def _watch(c: Chained, dt: float) -> None:
     s.peak = force
 
 
-@routine
+@routine(inline=True)
 def _end_step(c: Chained, dt: float, until: float, speed: float, off: float) -> None:
     """Take the step whose contacts have been followed."""
     b, s = c.blocks, c.course[0]
@@ -571,6 +568,7 @@ def _end_step(c: Chained, dt: float, until: float, speed: float, off: float) -> 
         b.V[j] = b.next_V[j]
         _note_breaks(c.links, b, c.then[j], j, dt)
         c.now[j] = c.then[j]
+    _know_blocks(c)
     s.time += dt
     s.Y += speed * dt
     s.steps += 1
@@ -580,7 +578,7 @@ def _end_step(c: Chained, dt: float, until: float, speed: float, off: float) -> 
     _watch(c, dt)
 
 
-@routine
+@routine(inline=True)
 def _has_room(c: Chained) -> bool:
     """True if the lists have room for what a step may tell."""
     s = c.course[0]
@@ -628,3 +626,4 @@ def follow_all(c: Chained) -> None:
     _follow(c, 0.0, 0, c.blocks.X.size)
     for j in range(c.blocks.X.size):
         c.now[j] = c.then[j]
+    _know_blocks(c)

@@ -130,7 +130,7 @@ class Range(NamedTuple):
     end: int
 
 
-@routine
+@routine(inline=True)
 def follow_range(
     laws: Contacts,
     piece: Piece,
