@@ -124,6 +124,9 @@ def _of_programme(ensemble: Ensemble, programme: Programme, v: float) -> Rows:
         yield from _of_blocks(ensemble.count, programme.chain)
         yield from _of_chain(programme.chain, v / ensemble.thresholds.scale)
         return
+    if programme.elastic:
+        yield from _of_blocks(ensemble.count, programme.elastic)
+        return
     pull = pull_of(ensemble, programme) if programme.pulled else None
     if pull and programme.forced:
         most = float(max(map(abs, pull.knots[1])))

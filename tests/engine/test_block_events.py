@@ -4,6 +4,8 @@ Scores are compared with 4.5: a correct program fails one of these tests once in
 10 000 fresh seeds.
 """
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -397,6 +399,8 @@ def test_run_file_of_a_programme(tmp_path):
     assert (table["D"][10:] == 2.0).all()
     assert table["X"].iloc[-1] > table["X"][10]  # creeps on
     assert table["force"].iloc[-1] < table["force"][10]
+    info = call("info", tmp_path / "creep.toml", "--json")
+    assert json.loads(info.output)["kappa_b/(n k)"] == 2.0
     back = "drive.programme=[{ velocity = -1.0, distance = 2.0 }]"
     done = call("run", tmp_path / "creep.toml", "--set", back)
     assert done.exit_code == 2
