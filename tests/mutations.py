@@ -518,6 +518,10 @@ MISTAKES = [
       "test_populations.py::test_identical_populations_are_independent"),
     M("populations: smallest remainders", "model/ensemble.py", "numbers[i] - exact[i]", "exact[i] - numbers[i]",
       "test_populations.py::test_contacts_are_divided_by_largest_remainders"),
+    M("populations: a mean field of forces by number", "master/cohorts.py", "kinds.weight * kinds.unit * kinds.history",
+      "kinds.share * kinds.unit * kinds.history", "test_populations.py::test_the_mean_field_behind_a_stiff_spring_is_a_rigid_mixture"),
+    M("populations: a mean field in units of the ensemble", "master/cohorts.py", "X[m] = X / kinds.unit", "X[m] = X",
+      "test_populations.py::test_the_mean_field_behind_a_stiff_spring_is_a_rigid_mixture"),
     M("slider: kinds in units of the ensemble", "engine/slider.py", "piece.duration / x.unit", "piece.duration",
       "test_populations.py::test_a_stage_pulls_identical_populations_as_one"),
     # fits

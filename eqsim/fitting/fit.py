@@ -318,10 +318,6 @@ def prepare(
     section = section_of(file)
     free = parameters_of(file, section)
     table = measured(file, section, data, progress)
-    pulled = table.time is not None and record.programme_of(file).pulled
-    if file.ensemble.populations and pulled:
-        said = "not allowed with fit.record behind drive.stage, whose mean field is of"
-        raise InputError(f"population: {said} contacts of one kind")
     scales, _ = section.scales(table.sets)
     if scales and not {"friction", "force_std"} & set(table.observable):
         raise InputError("fit.scale: no force was measured; give a fixed scale = 1.0")

@@ -13,7 +13,7 @@ independent (whitened).
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -29,7 +29,7 @@ from eqsim.fitting.section import BlockSize, Fit, RecordSection
 from eqsim.io.csv import read
 from eqsim.io.runfile import RunFile
 from eqsim.io.series import Blocks, RowErrors, blocks_of, means, read_series
-from eqsim.master.cohorts import NO_CHOICES, Choices
+from eqsim.master.cohorts import Choices
 from eqsim.master.programme import means_along
 from eqsim.master.slider import TooManySteps, choices_of, force_of
 from eqsim.model.drive import Grid, Programme
@@ -212,7 +212,7 @@ class RecordForward:
     fixed_scale: float
     correction: Array | None = None
     error: Array | None = None
-    choices: Choices = NO_CHOICES
+    choices: Sequence[Choices] = ()
 
     @property
     def scaled(self) -> bool:

@@ -77,8 +77,10 @@ def chain_field(
     does, for several segments, and where steps are too long to converge."""
     if len(programme.segments) != 1 or programme.stage is None:
         raise InputError("drive.programme: a chain takes a stage and one segment")
+    if ensemble.populations:
+        raise InputError("population: a chain takes contacts of one kind")
     task = task_of(ensemble, programme, programme.grid(2))
-    spring, numerics = task.spring, task.numerics
+    spring, numerics = task.spring, task.parts[0].numerics
     require_number("viscosity", spring.drag, least=0.0, most=0.0)
     unit, time = ensemble.thresholds.scale, float(programme.grid(2).t[-1])
     contacts, t = numerics.contacts(fine), np.linspace(0.0, 1.0, steps + 1)

@@ -574,23 +574,99 @@ class BlockState(NamedTuple):
     stiffness: float
 
 
-@kernel
-def begin_block(contacts: Any, path: CohortPath, history: History) -> BlockState:
-    """Block at the beginning of a path."""
+@routine
+def begun(contacts: Any, path: CohortPath, history: History) -> BlockState:
+    """Contacts at the beginning of a path."""
     cohorts = empty(contacts.nodes.size, 256 + path.cohorts)
     count, rate = begin(contacts, path, cohorts)
     stiffness = observe(cohorts, count, path.X[0], history, 0)
     return BlockState(cohorts, count, rate, stiffness)
 
 
-@kernel
-def advanced_block(
+@routine
+def advanced(
     contacts: Any, path: CohortPath, block: BlockState, history: History, m: int
 ) -> BlockState:
-    """Block after step m, whose end `path` has already; a copy, as the step may be
+    """Contacts after step m, whose end `path` has already; a copy, as the step may be
     tried again."""
     count, rows = block.kept, block.cohorts.order.size
     after = with_room(block.cohorts, count, 2 * count if count == rows else rows)
     kept = advance_all(contacts, path, after, history, m, count, block.rate)
     stiffness = observe(after, kept, path.X[m], history, m)
     return BlockState(after, kept, block.rate, stiffness)
+
+
+begin_block, advanced_block = kernel(begun), kernel(advanced)
+
+
+class Kinds(NamedTuple):
+    """Contacts of a kind behind one slider, their path and means in units of their law;
+    that unit over the slider's, and their shares of the number and of the stiffness of
+    all contacts. `others`: the other kinds, `Kinds` again; None after the last."""
+
+    contacts: Any
+    path: CohortPath
+    history: History
+    unit: float
+    share: float
+    weight: float
+    others: Any
+
+
+class KindStates(NamedTuple):
+    """State of the contacts of a kind, and of the others."""
+
+    state: BlockState
+    others: Any
+
+
+class Total(NamedTuple):
+    """Force, pinned share and stiffness of all kinds at the edges of steps, arrays
+    (edges,), in units of the slider."""
+
+    force: Array
+    pinned: Array
+    stiffness: Array
+
+
+@routine
+def _add(kinds: Kinds, state: BlockState, total: Total, m: int) -> None:
+    """Add a kind to the totals at edge m."""
+    total.force[m] += kinds.weight * kinds.unit * kinds.history.force[m]
+    total.pinned[m] += kinds.share * kinds.history.pinned[m]
+    total.stiffness[m] += kinds.weight * state.stiffness
+
+
+# Each calls itself for the other kinds, whose types may differ, and so one by one.
+
+
+@by_law(makes_arrays=True)
+def begin_kinds(kinds: Any, total: Total) -> Any:
+    """States of all kinds at the beginning of their paths."""
+    return None
+
+
+@begin_kinds.register(Kinds)
+def _begin_kinds(kinds: Kinds, total: Total) -> KindStates:
+    state = begun(kinds.contacts, kinds.path, kinds.history)
+    others = begin_kinds(kinds.others, total)
+    _add(kinds, state, total, 0)
+    return KindStates(state, others)
+
+
+@by_law(makes_arrays=True)
+def advance_kinds(kinds: Any, before: Any, total: Total, m: int, X: float) -> Any:
+    """States of all kinds after step m, at whose end the slider is at X; copies."""
+    total.force[m], total.pinned[m], total.stiffness[m] = 0.0, 0.0, 0.0
+    return None
+
+
+@advance_kinds.register(Kinds)
+def _advance_kinds(
+    kinds: Kinds, before: KindStates, total: Total, m: int, X: float
+) -> KindStates:
+    kinds.path.X[m] = X / kinds.unit
+    others = advance_kinds(kinds.others, before.others, total, m, X)
+    state = advanced(kinds.contacts, kinds.path, before.state, kinds.history, m)
+    _add(kinds, state, total, m)
+    return KindStates(state, others)

@@ -6,7 +6,8 @@ The force F of the contacts follows from X so far by the renewal equation in two
 
     m X'' + eta_s X' = kappa_s (Y - X) + f(t) - F - eta_l X' (1 - pinned),
 
-all per N k. A motor that moves at u (1 - F/s) is a force s beside a damping s/u; behind
+all per N k. Contacts of several kinds share X; their forces add up by their shares of the
+stiffness. A motor that moves at u (1 - F/s) is a force s beside a damping s/u; behind
 a spring it moves Y. In a step F changes by about (A + rho) dX + r dt: A is the
 stiffness of all pinned contacts, and rho (without heat, per dX) or r (with heat, per
 dt) is the change by breaks and births in the last step. X is then found by an implicit
@@ -17,6 +18,7 @@ is a third.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -31,16 +33,16 @@ from eqsim.master.cohorts import (
     Choices,
     CohortPath,
     History,
-    advance_all,
-    begin,
-    empty,
-    observe,
+    Kinds,
+    Total,
+    advance_kinds,
+    begin_kinds,
     unmade_choices,
-    with_room,
 )
 from eqsim.master.idle import means_missed
 from eqsim.master.programme import (
     MOST_STEPS,
+    Course,
     Numerics,
     Transient,
     course_of,
@@ -48,7 +50,7 @@ from eqsim.master.programme import (
     with_drag,
 )
 from eqsim.model.drive import Grid, Programme
-from eqsim.model.ensemble import Ensemble
+from eqsim.model.ensemble import Ensemble, Kind
 from eqsim.model.reduced import Pull, drag_of, pull_of
 from eqsim.numerics.compiled import kernel, routine
 from eqsim.numerics.quadrature import largest_nearby
@@ -155,11 +157,14 @@ class Way(NamedTuple):
 
 
 class Slide(NamedTuple):
-    """Means at the edges of steps, shape (6, edges), the rows of `Solution` without X;
-    the number of edges; and whether they reach the last mark, or the slider has let go.
-    They do not where steps are too many, or where given choices do not fit."""
+    """Totals of contacts, displacement of the stage and velocity at the edges of steps,
+    arrays (edges,); the number of edges; and whether they reach the last mark, or the
+    slider has let go. They do not where steps are too many, or where given choices do
+    not fit."""
 
-    means: Array
+    total: Total
+    stage: Array
+    velocity: Array
     edges: int
     complete: bool
     lost: bool
@@ -254,24 +259,23 @@ def driven(
 
 @kernel
 def pull(
-    contacts: Any, path: CohortPath, spring: Spring, way: Way, tolerance: float
+    kinds: Kinds, path: CohortPath, spring: Spring, way: Way, tolerance: float
 ) -> Slide:
-    """Solve for the motion of the slider, and fill `path` from its first edge on. Steps
-    end at the marks of `way` and miss F by about `tolerance`; given choices have the
-    steps of `path.t`. The motion ends where a slider under a force lets go."""
+    """Solve for the motion of the slider, and fill its `path` and those of `kinds`,
+    with the same times and choices of steps, from the first edge on. Steps end at the
+    marks of `way` and miss F by about `tolerance`; given choices have the steps of
+    `path.t`. The motion ends where a slider under a force lets go."""
     t, X, choices, given = path.t, path.X, path.choices, path.choices.given
     marks, lost = way.marks, False
-    # six arrays instead of one take ten times as long, longer than a short solve
-    means = np.zeros((6, t.size))
-    history = History(means[0], means[1], means[2], means[3])
-    Y, velocity, whole = means[4], means[5], marks[-1]
-    cohorts = empty(contacts.nodes.size, 256 + path.cohorts)
-    count, rate = begin(contacts, path, cohorts)
-    stiffness = observe(cohorts, count, X[0], history, 0)
+    # five arrays instead of one take ten times as long, longer than a short solve
+    means = np.zeros((5, t.size))
+    total = Total(means[0], means[1], means[2])
+    Y, velocity, whole = means[3], means[4], marks[-1]
+    states = begin_kinds(kinds, total)
     Y[0], velocity[0] = spring.stretch, spring.velocity
     if spring.in_balance:
-        damping = spring.damping + spring.drag * (1.0 - history.pinned[0])
-        Y[0] = (history.force[0] + damping * spring.velocity) / spring.stiffness
+        damping = spring.damping + spring.drag * (1.0 - total.pinned[0])
+        Y[0] = (total.force[0] + damping * spring.velocity) / spring.stiffness
     # in the last step: change of F by breaks and births, per dX (rho) and per time (r),
     # change of the pinned share per time (q), and acceleration
     rho, r, q, acceleration = 0.0, 0.0, 0.0, 0.0
@@ -286,14 +290,15 @@ def pull(
     while k < marks.size and m < t.size and path.stop[0] == 0:
         if spring.heat and in_a_row > _MOST_AT_ONCE:
             break
-        force, pinned, V0 = history.force[m - 1], history.pinned[m - 1], velocity[m - 1]
+        force, pinned, V0 = total.force[m - 1], total.pinned[m - 1], velocity[m - 1]
         net = spring.stiffness * (Y[m - 1] - X[m - 1]) - force
         net += way.forces[k] + way.rates[k] * (t[m - 1] - marks[k])
         damping = spring.damping + way.dampings[k] + spring.drag * (1.0 - pinned)
         if pinned < _LET_GO and spring.stiffness + damping + spring.mass == 0.0:
             lost = True
             break
-        held, A = spring.stiffness + stiffness + rho, stiffness
+        A = total.stiffness[m - 1]
+        held = spring.stiffness + A + rho
         # steps up to the mark are even, as r is noisy where their length changes
         equal = max(math.ceil((marks[k] - t[m - 1]) / longest - 0.2), 1)
         last = equal == 1
@@ -314,7 +319,7 @@ def pull(
             if given:
                 instant = choices.steps[m].instant
                 if not instant and not abs(dX) <= _FARTHER * path.width:
-                    return Slide(means, m, False, False)
+                    return Slide(total, Y, velocity, m, False, False)
             elif (instant and dt > shortest) or (rough and dt > _ROUGH * longest):
                 dt, last, tries = 0.5 * dt, False, 0
                 guess = r + 0.5 * bend * (dt + dt_before)
@@ -332,22 +337,17 @@ def pull(
                 t[m] = marks[k] if last else t[m - 1] + dt
             X[m] = X[m - 1] + dX
             velocity[m] = V
-            after, rows = cohorts, cohorts.order.size
-            # a copy, as the step may be tried again
-            if not given or spring.heat or count == rows:
-                after = with_room(cohorts, count, 2 * count if count == rows else rows)
-            kept = advance_all(contacts, path, after, history, m, count, rate)
-            stiffness = observe(after, kept, X[m], history, m)
+            after = advance_kinds(kinds, states, total, m, X[m])
             Y[m] = Y[m - 1] + way.speeds[k] * (t[m] - t[m - 1])
             if spring.stall < math.inf:
-                viscous = spring.damping + spring.drag * (1.0 - history.pinned[m])
-                load = force + damping * V0 + history.force[m] + viscous * V
+                viscous = spring.damping + spring.drag * (1.0 - total.pinned[m])
+                load = force + damping * V0 + total.force[m] + viscous * V
                 slower = 0.5 * load * abs(way.speeds[k]) / spring.stall
                 Y[m] -= slower * (t[m] - t[m - 1])
-            change = history.force[m] - force - A * dX
+            change = total.force[m] - force - A * dX
             # error of the estimate, of F or of the pinned share
             off = abs(change - rho * dX - r * dt)
-            off = max(off, abs(history.pinned[m] - pinned - q * dt))
+            off = max(off, abs(total.pinned[m] - pinned - q * dt))
             if spring.heat:
                 off *= _BENT
             # r has to agree with the guess, by which the slider moved
@@ -380,8 +380,8 @@ def pull(
             guess_before, missed_before = guess, missed
             guess, tries = guess - missed / response, tries + 1
         if given and off > _WORSE * tolerance and not instant:
-            return Slide(means, m, False, False)
-        cohorts, count = after, kept
+            return Slide(total, Y, velocity, m, False, False)
+        states = after
         in_a_row = 0 if dt > shortest else in_a_row + 1
         if not given and m < choices.steps.size:
             decision = choices.steps[m]
@@ -389,10 +389,10 @@ def pull(
             decision.trials = tries
             decision.instant = instant
             decision.halvings = halvings
-        q = (history.pinned[m] - pinned) / dt
+        q = (total.pinned[m] - pinned) / dt
         if spring.mass > 0.0:
             bent = 4.0 * dt * abs(V - V0 - acceleration * dt)
-            off = max(off, bent * (spring.stiffness + stiffness))
+            off = max(off, bent * (spring.stiffness + total.stiffness[m]))
             acceleration = (V - V0) / dt
         if not instant:
             grown = _GROWTH * dt
@@ -413,7 +413,7 @@ def pull(
                 rho = softer
         k += last
         m += 1
-    return Slide(means, m, k == marks.size or lost, lost)
+    return Slide(total, Y, velocity, m, k == marks.size or lost, lost)
 
 
 class Solution(NamedTuple):
@@ -446,6 +446,8 @@ def pulled_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transient
     breaks = np.gradient(best.breaks, grid.t) if grid.t.size > 1 else best.breaks
     forces = drag * best.velocity, drag * missed.velocity
     means = with_drag(grid, values, np.array(missed[:3]), *forces, unit, breaks)
+    if drag and ensemble.populations:  # shared by kinds that differ in what is pinned
+        means = replace(means, force_variance=None, force_variance_error=None)
     X, stage, X_error = unit * np.array((best.X, best.stage, missed.X))
     end = None
     if not math.isnan(best.end[0]):
@@ -473,7 +475,8 @@ def solutions_of(
     off[:, kept] = np.abs(np.array(best)[:, kept] - fewer)
     if task.apart > 1:  # also of instants at which no step ends
         off = largest_nearby(off, 3)
-    discrete = ensemble.thresholds.steps.size > 0
+    laws = [part.kind.contacts.thresholds for part in task.parts]
+    discrete = any(law.steps.size for law in laws)
     if steps <= (_STEPS_OF_DISCRETE if discrete else _STEPS_OF_FEW_SLIPS):
         best, _, bent = solved(task._replace(halved=True), 4)
         off = np.abs(np.array(best) - coarse) + 0.5 * off
@@ -482,14 +485,17 @@ def solutions_of(
     errors = largest_nearby(np.nan_to_num(off), 5 + off.shape[1] // 50)
     errors += bent
     errors += 1e-6 * np.abs(np.nan_to_num(best)).max(axis=1, keepdims=True)
-    numerics = task.numerics
-    if numerics.course.shift:
-        # as if each step missed F by more than its tolerance
+    for kind, numerics, scale in task.parts:
         shift, segments = numerics.course.shift, numerics.course.ends.size
-        moved = np.diff(best.breaks), np.diff(best.X)
+        if not shift:
+            continue
+        # as if each step missed F by more than its tolerance; all breaks are this kind's
+        moved = np.diff(best.breaks) / kind.share, np.diff(best.X) / scale
         missed = means_missed(numerics.ensemble, shift, segments, *moved)
+        square = min(len(task.parts), 2) * kind.square * scale**2
+        missed *= np.array([[kind.weight * scale], [kind.share], [square]])
         errors[:3] += missed
-        errors *= 1.0 + missed[0] / (_FORCE_TOLERANCE * numerics.typical / 16.0)
+        errors *= 1.0 + missed[0] / (_FORCE_TOLERANCE * task.typical / 16.0)
     errors[unsure] = math.inf
     errors[Solution._fields.index("X"), 0] = 0.0
     return best, coarse, Solution(*errors)
@@ -501,7 +507,7 @@ def force_of(
     grid: Grid,
     fine: float,
     most_steps: int = MOST_STEPS,
-    choices: Choices = NO_CHOICES,
+    choices: Sequence[Choices] = (),
 ) -> Array:
     """The force at the instants of a grid by one solve, in the user's unit, shape
     (points,). With fine = 1 it takes a tenth of the time of `pulled_of`, and its error
@@ -513,7 +519,7 @@ def force_of(
     try:
         best = solved(task, fine, most_steps, choices).solution
     except TooManySteps:
-        if not choices.given:
+        if not choices:
             raise
         best = solved(task, fine, most_steps).solution
     drag = drag_of(ensemble, unit / time) * best.velocity
@@ -522,38 +528,76 @@ def force_of(
 
 def choices_of(
     ensemble: Ensemble, programme: Programme, grid: Grid, fine: float, most_steps: int
-) -> Choices:
-    """Decisions of `force_of`, to be repeated; raises the same errors."""
-    noted = unmade_choices(most_steps, most_steps * _FATES)
-    task = task_of(ensemble, programme, grid)
+) -> list[Choices]:
+    """Decisions of `force_of` for each kind of contacts, to be repeated; raises the same
+    errors."""
+    task, found = task_of(ensemble, programme, grid), []
+    noted = [unmade_choices(most_steps, most_steps * _FATES) for _ in task.parts]
     edges = solved(task, fine, most_steps, noted).edges
-    steps = noted.steps[: edges + 1].copy()
-    fates = int(steps["first"][edges])
-    if fates > noted.fates.size:
-        raise TooManySteps(
-            f"drive.stage: {fates} cohorts in {edges} steps of the mean field"
-        )
-    return Choices(steps, noted.fates[:fates].copy(), True)
+    for one in noted:
+        steps = one.steps[: edges + 1].copy()
+        fates = int(steps["first"][edges])
+        if fates > one.fates.size:
+            raise TooManySteps(
+                f"drive.stage: {fates} cohorts in {edges} steps of the mean field"
+            )
+        found.append(Choices(steps, one.fates[:fates].copy(), True))
+    return found
+
+
+class Part(NamedTuple):
+    """Contacts of a kind, how to resolve them, and the unit of their law over that of
+    the slider."""
+
+    kind: Kind
+    numerics: Numerics
+    unit: float
 
 
 class PulledTask(NamedTuple):
-    """Task that is solved at any accuracy. Steps end at one in `apart` of the instants
-    `t` asked for, and if `halved` in the middle between these, too."""
+    """Task that is solved at any accuracy: kinds of contacts, and the course in units of
+    the slider. Steps end at one in `apart` of the instants `t` asked for, and if
+    `halved` in the middle between these, too."""
 
-    numerics: Numerics
+    parts: Sequence[Part]
+    course: Course
     spring: Spring
     t: Array
     halved: bool = False
     pull: Pull | None = None
     apart: int = 1
 
+    @property
+    def typical(self) -> float:
+        """Typical threshold, over which forces of all kinds are judged."""
+        return sum(kind.weight * x.typical * unit for kind, x, unit in self.parts)
+
+    @property
+    def width(self) -> float:
+        """Largest displacement in a step of the coarsest accuracy."""
+        return min(part.numerics.width * part.unit for part in self.parts)
+
 
 def task_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> PulledTask:
     """The task of a stage, a force or a motor, lengths in units of the law's scale.
     Raises InputError."""
     stage, pull = programme.stage, pull_of(ensemble, programme)
-    contacts, course = course_of(ensemble, programme)
     unit, time = ensemble.thresholds.scale, float(grid.t[-1])
+    preload = (programme.stage.preload if programme.stage else 0.0) or 0.0
+    parts = []
+    for kind in ensemble.kinds:
+        contacts, course = course_of(kind.contacts, programme)
+        scale = kind.contacts.thresholds.scale / unit
+        path = float(np.ptp(course.at(np.append(0.0, course.ends))))
+        # a mass may overshoot
+        reach = 2.0 * (path + abs(preload / unit) / scale)
+        numerics = numerics_of(contacts, course, reach or math.inf)
+        parts.append(Part(kind, numerics, scale))
+    course, scale = parts[0].numerics.course, parts[0].unit
+    course = course._replace(
+        velocity=course.velocity * scale, before=course.before * scale
+    )
+    laws = [part.numerics.ensemble for part in parts]
     if programme.rebinding == "shared":
         raise InputError('drive.rebinding = "shared": has no mean field')
     spring = Spring(
@@ -564,8 +608,8 @@ def task_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> PulledTask:
         in_balance=False,
         stretch=0.0,
         velocity=course.before,
-        heat=contacts.barrier.thermal,
-        discrete=has_jumps(contacts.law),
+        heat=any(contacts.barrier.thermal for contacts in laws),
+        discrete=any(has_jumps(contacts.law) for contacts in laws),
     )
     if stage is not None:
         if stage.mass and pull.motor:
@@ -576,18 +620,15 @@ def task_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> PulledTask:
             damping=stage.damping / time,
             mass=stage.mass / time**2,
             in_balance=stage.preload is None and course.before > 0.0,
-            stretch=(stage.preload or 0.0) / unit,
+            stretch=preload / unit,
             stall=pull.stall,
         )
-    path = float(np.ptp(course.at(np.append(0.0, course.ends))))
-    reach = 2.0 * (path + abs(spring.stretch))  # a mass may overshoot
-    numerics = numerics_of(contacts, course, reach or math.inf)
-    return PulledTask(numerics, spring, grid.t / time, pull=pull)
+    return PulledTask(parts, course, spring, grid.t / time, pull=pull)
 
 
 def _way(task: PulledTask, marks: Array) -> Way:
     """Pull on the slider up to each of the marks, shape (marks,)."""
-    ends, speeds = task.numerics.course.ends, task.numerics.course.velocity
+    ends, speeds = task.course.ends, task.course.velocity
     nothing = np.zeros(ends.size)
     forces, rates, dampings, pull = nothing, nothing, nothing, task.pull
     if pull and not pull.stiffness:
@@ -618,36 +659,48 @@ def solved(
     task: PulledTask,
     fine: float,
     most_steps: int = MOST_STEPS,
-    choices: Choices = NO_CHOICES,
+    choices: Sequence[Choices] = (),
 ) -> Solved:
     """Solve at the accuracy `fine`. Raises TooManySteps, also if given choices do not
     fit."""
-    numerics, ends = task.numerics, task.numerics.course.ends
-    t = np.full(most_steps, math.inf)
-    if choices.given:
-        t = choices.steps["t"][:-1].copy()
-    path = numerics.path(t, np.zeros(t.size), fine, choices)
-    if choices.given and path.cohorts:
-        first = choices.steps["first"]
-        path = path._replace(cohorts=int(first[2] - first[1]) - 1)
-    path.t[0] = 0.0
+    ends, t = task.course.ends, np.full(most_steps, math.inf)
+    choices = choices or [NO_CHOICES] * len(task.parts)
+    if choices[0].given:
+        t = choices[0].steps["t"][:-1].copy()
+    t[0] = 0.0
+    kinds: Any = None
+    for (kind, numerics, scale), made in zip(
+        task.parts[::-1], choices[::-1], strict=True
+    ):
+        path = numerics.path(t, np.zeros(t.size), fine, made)
+        if made.given and path.cohorts:
+            first = made.steps["first"]
+            path = path._replace(cohorts=int(first[2] - first[1]) - 1)
+        contacts, history = numerics.contacts(fine), History(*np.zeros((4, t.size)))
+        kinds = Kinds(contacts, path, history, scale, kind.share, kind.weight, kinds)
+    path = path._replace(X=np.zeros(t.size), width=task.width / fine)
     # steps end at marks, up to each of which the stage has a speed
     marks = np.unique(np.concatenate((task.t[:: task.apart], task.t[-1:], ends)))
     marks = marks[(marks > 0.0) & np.append(np.diff(marks) > 1e-12, True)]
     if task.halved:
         marks = np.union1d(marks, marks - 0.5 * np.diff(marks, prepend=0.0))
-    contacts, way = numerics.contacts(fine), _way(task, marks)
-    tolerance = _FORCE_TOLERANCE * numerics.typical / fine**2
+    way, tolerance = _way(task, marks), _FORCE_TOLERANCE * task.typical / fine**2
     with ThreadPool(1) as thread:
         path = path._replace(stop=thread.stop)
-        slide = thread.submit(
-            pull, contacts, path, task.spring, way, tolerance
-        ).result()
+        slide = thread.submit(pull, kinds, path, task.spring, way, tolerance).result()
     if not slide.complete:
         said = f"or {_MOST_AT_ONCE} in a row that take no time, of the mean field"
         raise TooManySteps(f"drive: takes more than {most_steps} steps, {said}")
     end = path.t[slide.edges - 1] if slide.lost else math.nan
-    rows = np.vstack((slide.means, path.X, np.full(path.t.size, end)))
+    force, pinned, _ = slide.total
+    square, breaks = force**2, np.zeros(t.size)
+    for kind, _, scale in task.parts:
+        own = kinds.history
+        square += kind.square * scale**2 * (own.square - own.force**2)
+        breaks += kind.share * own.breaks
+        kinds = kinds.others
+    moves = slide.stage, slide.velocity, path.X, np.full(t.size, end)
+    rows = np.vstack((force, pinned, square, breaks, *moves))
     if task.apart > 1:  # never of a slider that lets go
         means, bent = _between(
             path.t[: slide.edges], rows[:-1, : slide.edges], ends, task.t

@@ -21,7 +21,6 @@ from eqsim.fitting.profiles import LEVELS
 from eqsim.fitting.record import correlated, settle_steps
 from eqsim.fitting.section import section_of
 from eqsim.io.runfile import check
-from eqsim.master.cohorts import NO_CHOICES
 from eqsim.master.transient import transient
 
 ROOT = Path(__file__).parents[2]
@@ -297,7 +296,7 @@ def test_given_steps_make_predictions_smooth():
     solve chooses its own steps, more. Far away, where they do not serve, the others are
     taken."""
     exact = coverage.record()
-    few = replace(exact.forward, time=exact.forward.time[::4], choices=NO_CHOICES)
+    few = replace(exact.forward, time=exact.forward.time[::4], choices=())
     problem = settle_steps(replace(exact, forward=few), exact.start)
     rough = replace(problem, forward=few)
     changes = problem.changes(problem.start)
