@@ -10,11 +10,38 @@ from eqsim.plots.panels import DOTS, Caption
 from eqsim.plots.style import styled
 
 if TYPE_CHECKING:
+    from eqsim.master.chain_modes import Modes
     from eqsim.master.stability import Stability
     from eqsim.master.transient import Fluctuations
     from eqsim.validation import Validation
 
 _FARTHEST = 8.0  # scores beyond so many standard errors are drawn there
+
+
+@styled
+def modes_figure(modes: "Modes", caption: Caption) -> Figure:
+    """Draw the growth of perturbations over their wave number, and the softest mode of
+    this chain."""
+    figure = Figure(figsize=(7, 4.6))
+    axes = figure.subplots()
+    axes.plot(modes.wave_number, modes.growth, marker=".", label="perturbations")
+    axes.fill_between(
+        modes.wave_number,
+        0.0,
+        np.maximum(modes.growth, 0.0),
+        color="C3",
+        alpha=0.15,
+        linewidth=0,
+        label="grow",
+    )
+    if modes.softest.value is not None:
+        label = f"softest mode of this chain, {modes.verdict}"
+        axes.plot(modes.lowest, modes.softest.value, "k*", markersize=12, label=label)
+    axes.axhline(0.0, color="0.5", linewidth=0.8)
+    axes.set(xlabel="wave number  $q$  [1/block]", ylabel="growth rate  [1/time]")
+    axes.set_title(caption.heading)
+    axes.legend()
+    return figure
 
 
 @styled

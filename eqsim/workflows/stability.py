@@ -14,7 +14,10 @@ from eqsim.io.runfile import RunFile
 from eqsim.io.surface import machine_stiffness
 from eqsim.lazy import lazily
 from eqsim.master import stability as solver
+from eqsim.master.chain_modes import Modes, chain_modes
 from eqsim.master.stability import Stability
+from eqsim.model.chain import Chain
+from eqsim.model.drive import Programme
 from eqsim.workflows.report import FileResult
 
 with lazily():
@@ -138,6 +141,77 @@ class StabilityResult(FileResult):
             yield "undecided: the rate is not known well enough to tell its sign"
 
 
+@dataclass(frozen=True)
+class ModesResult(FileResult):
+    """Growth of perturbations of the steady sliding of a chain of a run file."""
+
+    file: RunFile
+    modes: Modes
+    command = "stability"
+
+    def title(self, name: str) -> str:
+        return self.file.title or name
+
+    @property
+    def sentence(self) -> str:
+        """Which wavelengths grow, and whether this chain has them."""
+        chain, q = self.drive.chain, self.modes.critical_wave_number.value
+        mine = f"this chain of {chain.count} blocks is {self.modes.verdict}"
+        if q is None:
+            return f"perturbations of any wavelength grow; {mine}"
+        if q == 0.0:
+            return f"no perturbation grows; {mine}"
+        return f"perturbations longer than {2.0 * math.pi / q:.4g} blocks grow; {mine}"
+
+    def summary(self) -> dict[str, Any]:
+        modes = self.modes
+        return {
+            "title": self.file.title,
+            "critical_wave_number": modes.critical_wave_number.as_dict(),
+            "softest": modes.softest.as_dict(),
+            "lowest_wave_number": modes.lowest,
+            "verdict": modes.verdict,
+            "modes": {name: x.tolist() for name, x in modes.columns().items()},
+            "sentence": self.sentence,
+            "versions": storage.versions(),
+        }
+
+    def tables(self) -> dict[str, Any]:
+        return {"modes": self.modes.columns()}
+
+    def figures(self, title: str) -> dict[str, Any]:
+        caption = panels.Caption.of(self.file, title)
+        return {"modes": checks.modes_figure(self.modes, caption)}
+
+    def rows(self) -> Iterator[tuple[str, ...]]:
+        chain, modes = self.drive.chain, self.modes
+        yield "", "value", "meaning"
+        yield "coupling", f"{chain.coupling:.6g}", "K/(n k)"
+        yield (
+            "drive",
+            f"{chain.drive_stiffness:.6g}",
+            f"spring of the {chain.drive} over n k",
+        )
+        critical = modes.critical_wave_number
+        if critical.value:
+            yield (
+                "critical q_c",
+                _with_error(critical),
+                "wave number below which perturbations grow, per block",
+            )
+        yield "softest q", f"{modes.lowest:.6g}", "longest wave of this chain"
+        yield "steady sliding", modes.verdict, "of this chain"
+        if modes.softest.value is not None:
+            yield (
+                "growth rate",
+                _with_error(modes.softest),
+                "of its softest mode, 1/time",
+            )
+
+    def notes(self) -> Iterator[str]:
+        yield self.sentence
+
+
 def _with_error(value: Estimate | str) -> str:
     """A value with its error, unless that is rounding."""
     if isinstance(value, str) or value.value is None or value.stderr is None:
@@ -148,10 +222,13 @@ def _with_error(value: Estimate | str) -> str:
 
 def stability(
     file: RunFile, *, borders: bool, bar: Callable[[str, str], Any]
-) -> StabilityResult:
-    """Find whether the slider of a run file slides steadily, and if asked for, the
+) -> StabilityResult | ModesResult:
+    """Find whether the slider or the chain of a run file slides steadily, and if asked for, the
     `borders` over velocity. `bar(title, unit)` is a context with a progress bar. Raises
     InputError."""
+    if isinstance(file.drive, Programme) and isinstance(file.blocks, Chain):
+        with bar("modes of the chain", ""):
+            return ModesResult(file, chain_modes(file.ensemble, file.drive))
     pulled = solver.pulled_by(file.ensemble, file.drive)
     with bar("critical stiffness", ""):
         found = solver.stability(pulled.ensemble, pulled.programme())

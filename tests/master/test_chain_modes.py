@@ -1,10 +1,12 @@
 """Growth of perturbations of chains of blocks, against a slider behind the spring of
 each mode, and against numbers found twice."""
 
+import json
 import math
 
 import numpy as np
 import pytest
+from command_line import call
 
 from eqsim import (
     Chain,
@@ -26,6 +28,25 @@ COLD = Ensemble(
     Delay(1.0, "gamma", shape=10.0),
     stiffness_law="uniform",
 )
+
+RING = """
+disorder = "annealed"
+[contacts]
+count = 800
+stiffness_law = "uniform"
+[thermal]
+kT = 0.1
+[delay]
+time = 1.0
+[drive]
+velocity = 0.3
+[elastic]
+blocks = 8
+coupling = 0.05
+drive_stiffness = 0.1
+damping = 0.05
+edges = "periodic"
+"""
 
 
 def chain(coupling=0.5, drive_stiffness=0.02, blocks=10, **more):
@@ -111,3 +132,18 @@ def test_modes_of_a_ring_of_eight_blocks():
     assert found.growth.tolist() == pytest.approx(growth, rel=3e-5, abs=1e-6)
     assert found.frequency.tolist() == pytest.approx(frequency, rel=1e-5, abs=0)
     assert found.critical_wave_number.value == pytest.approx(1.48907, rel=1e-5, abs=0)
+
+
+def test_command(tmp_path):
+    """`eqsim stability` of a chain: the critical wave number of a ring of 8, known from
+    another program."""
+    (tmp_path / "ring.toml").write_text(RING)
+    done = call("stability", tmp_path / "ring.toml", "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert "perturbations longer than 4.22 blocks grow" in done.output
+    assert (tmp_path / "out" / "modes.png").stat().st_size > 10_000
+    found = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert found["critical_wave_number"]["value"] == pytest.approx(
+        1.48907, rel=0, abs=1e-4
+    )
+    assert found["verdict"] == "unstable"
