@@ -429,6 +429,8 @@ def require_drive(drive: Drive | Programme) -> Drive:
         what = "drive.programme: has no steady state"
         if drive.pulled:
             what = "drive.stage: a slider that a spring pulls has no steady state"
+        if drive.chain:
+            what = "elastic.damping: a chain of blocks in time has no steady state"
         if drive.motor:
             what = "drive.stall_force: `reference` finds the velocity of a motor"
         if drive.forced:
