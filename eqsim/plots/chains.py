@@ -1,8 +1,9 @@
 """Pictures of chains of blocks in time."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib import animation
 from matplotlib.figure import Figure
 
 from eqsim.plots.panels import DOTS, Caption
@@ -10,6 +11,8 @@ from eqsim.plots.style import styled
 
 if TYPE_CHECKING:
     from eqsim.engine.chain_records import ChainTrajectory
+
+_MOST_FRAMES = 200  # of a film, which takes some minutes at most
 
 
 @styled
@@ -72,3 +75,31 @@ def fronts_figure(run: "ChainTrajectory", caption: Caption) -> Figure:
         axes.yaxis.get_major_locator().set_params(integer=True)
     figure.suptitle(caption.heading)
     return figure
+
+
+@styled
+def animation_of(run: "ChainTrajectory", caption: Caption) -> Any:
+    """Show forces and velocities of the blocks of the first replica, one record after
+    the other."""
+    figure = Figure(figsize=(7, 5))
+    top, low = figure.subplots(2, 1, sharex=True)
+    force, V = run.in_space("force"), run.in_space("V")
+    blocks = np.arange(run.chain.count)
+    lines = [
+        axes.plot(blocks, column[0], color=color, marker=".")[0]
+        for axes, column, color in ((top, force, "C0"), (low, V, "C3"))
+    ]
+    for axes, column in ((top, force), (low, V)):
+        axes.set_ylim(min(0.0, column.min()), 1.05 * max(column.max(), 1e-300))
+    top.set(ylabel=caption.force, title=caption.heading)
+    low.set(xlabel="block", ylabel="velocity of the block")
+    clock = top.text(0.02, 0.9, "", transform=top.transAxes)
+
+    def show(record: int) -> list[Any]:
+        lines[0].set_ydata(force[record])
+        lines[1].set_ydata(V[record])
+        clock.set_text(f"t = {run.t[record]:.4g}")
+        return [*lines, clock]
+
+    records = np.unique(np.linspace(0, run.t.size - 1, _MOST_FRAMES).astype(int))
+    return animation.FuncAnimation(figure, show, frames=records.tolist(), interval=50)

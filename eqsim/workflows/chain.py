@@ -10,6 +10,7 @@ import numpy as np
 from eqsim.engine.chain import chain_trajectory
 from eqsim.engine.chain_records import ChainTrajectory
 from eqsim.engine.trajectory import check_run, guarded
+from eqsim.errors import InputError, shown
 from eqsim.io.runfile import RunFile
 from eqsim.io.states import kept
 from eqsim.lazy import lazily
@@ -60,6 +61,17 @@ class ChainResult(ProgrammeResult):
         if run.events["t"].size:
             figures["fronts"] = draw.fronts_figure(run, caption)
         return figures
+
+    def animate(self, path: Path | str) -> None:
+        """Write a film of the blocks, of at most 200 pictures, as GIF or, where ffmpeg
+        is installed, MP4: `eqsim.run("fronts.toml").animate("fronts.gif")`. Raises
+        InputError for another ending."""
+        writers = {".gif": "pillow", ".mp4": "ffmpeg"}
+        writer = writers.get(Path(path).suffix)
+        if writer is None:
+            raise InputError(f"path = {shown(str(path))}: must end with .gif or .mp4")
+        film: Any = draw.animation_of(self.trajectory, self.caption("", None))
+        film.save(path, writer=writer)
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
         """Each event with its fastest front; segments if there is no event."""

@@ -404,6 +404,8 @@ def test_run_files(tmp_path):
     assert events["blocks"].max() <= 10
     assert set(found.tables()) == {"trajectory", "blocks", "broke", "events", "fronts"}
     assert set(found.figures("")) == {"force", "fronts"}
+    with pytest.raises(InputError, match=r"must end with \.gif or \.mp4"):
+        found.animate("x.avi")
     assert len([*found.rows()]) == 1 + min(21, events["t"].size)
     # events are told apart, and their breaks lie within them
     order = np.argsort(events["t"])
