@@ -530,7 +530,8 @@ def simulate(
             records["X"][rows] = X
             records["force"][rows] = (contacts * X - births) / n
             mean = births / contacts
-            records["variance"][rows] = np.maximum(squares - mean**2, 0.0)
+            spread = np.maximum(squares - mean**2, 0.0)
+            records["variance"][rows] = spread * contacts / n
             records["breaks"][rows] = b.breaks
         if instant == instants.edges[0]:
             now["impulse"] = 0.0

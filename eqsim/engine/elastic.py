@@ -55,6 +55,9 @@ from eqsim.numerics.threads import ThreadPool, interruptibly
 
 _MOST_BATCHES = 16  # of the second half of a run, whose scatter tells the error
 _SHORTEST_BATCH = 1.5  # displacement of the plate, in mean thresholds
+# The same, over a change of the force by the scatter of those of independent contacts
+# (half a mean threshold each): weak springs change it so slowly that blocks remember it.
+_CHANGES_OF_FORCE = 4.0
 _FORGOTTEN = 5.0  # mean thresholds, after which warm contacts know no fresh start
 _RELIABLE_FROM = 8  # batches or replicas whose scatter tells the error of their mean
 _BETWEEN_PAUSES = 1e6  # breaks between moments at which a signal may stop a run
@@ -97,7 +100,8 @@ BLOCK_STATE = np.dtype(
     [
         ("X", np.float64),
         ("force", np.float64),
-        ("variance", np.float64),  # of the force of a contact, if they were independent
+        # of the force of a contact, if they were independent, times n_j/n
+        ("variance", np.float64),
         ("breaks", np.int64),  # so far
     ]
 )
@@ -298,8 +302,8 @@ class _Interface(NamedTuple):
         response = response_of(elastic, distance / unit)
         # Blocks follow a share of the plate's motion at once.
         levels = np.linspace(0.0, distance / unit * (1.0 - elastic.branching), points)
-        batches = np.clip(0.5 * distance / mean / _SHORTEST_BATCH, 2, _MOST_BATCHES)
-        edges = np.linspace(0.5 * levels[-1], levels[-1], int(batches) + 1)
+        batches = _batches(0.5 * distance / mean, elastic, count)
+        edges = np.linspace(0.5 * levels[-1], levels[-1], batches + 1)
         between = math.ceil(count * distance / mean / _BETWEEN_PAUSES)
         pauses = np.linspace(0.0, levels[-1], 1 + between)
         laws, key = contacts(ensemble, drive.velocity), key_of(seed, TRAJECTORY)
@@ -387,7 +391,7 @@ class _WarmInterface(NamedTuple):
         blocks = block_events.interface_of(ensemble, elastic, pace, seed)
         scale = pace / ensemble.thresholds.scale
         moved = 0.5 * segments[-1].path / ensemble.thresholds.mean
-        edges = 1 + int(np.clip(moved / _SHORTEST_BATCH, 2, _MOST_BATCHES))
+        edges = 1 + _batches(moved, elastic, ensemble.count)
         lives = _expected(ensemble, programme, elastic)
         end = len(segments)
         instants = block_events.Instants(
@@ -449,6 +453,14 @@ def _programme_of(drive: Drive | Programme, ensemble: Ensemble) -> Programme:
         return drive
     segment = Segment(drive.velocity, distance=drive.over(ensemble))
     return Programme((segment,), elastic=drive.elastic)
+
+
+def _batches(moved: float, elastic: Elastic, count: int) -> int:
+    """Number of batches of a way of the plate (mean thresholds), long enough to be
+    independent."""
+    force = 0.5 / math.sqrt(count)
+    way = _CHANGES_OF_FORCE * force / float(np.mean(elastic.springs))
+    return int(np.clip(moved / (_SHORTEST_BATCH + way), 2, _MOST_BATCHES))
 
 
 def _passed(programme: Programme, grid: Grid) -> Array:

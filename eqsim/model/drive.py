@@ -359,7 +359,9 @@ class Programme:
         load = 1.0
         for index, segment in enumerate(self.segments if self.loaded else ()):
             if self.pulled:
-                said = "not with a stage, a force or a motor, which find X together with it"
+                said = (
+                    "not with a stage, blocks, a force or a motor, which find X with it"
+                )
                 raise InputError(f"programme.{index}.load: {said}")
             load = segment.load or load
             load += (segment.load_rate or 0.0) * segment.duration

@@ -98,6 +98,9 @@ class Elastic:
         if self.edge_stiffness is not None:
             require_number("edge_stiffness", self.edge_stiffness, least=1e-6, most=1e6)
         if self.load is not None:
+            if not np.iterable(self.load):
+                said = "must be numbers, one for each block"
+                raise InputError(f"load = {shown(self.load)}: {said}")
             object.__setattr__(self, "load", tuple(self.load))
             if len(self.load) != self.count:
                 said = f"must be {self.count} numbers, one for each block"

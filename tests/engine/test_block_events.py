@@ -5,6 +5,7 @@ Scores are compared with 4.5: a correct program fails one of these tests once in
 """
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -205,6 +206,15 @@ def test_walls_change_nothing(monkeypatch, barrier):
             assert abs(z) < 4.5, (disorder, name)
 
 
+def test_weak_springs_remember_their_force():
+    """A force scatters by 0.08 between 40 contacts, which a spring of 0.01 takes up over
+    8 mean thresholds: 16 batches of 7 said errors that were too small by a third."""
+    few, soft = replace(WARM, count=40), Elastic(4, 5.0, 0.01)
+    found = pulled(few, soft, 200.0, 0.1, points=3)
+    assert not found.friction.reliable
+    assert found.friction.dof == 1
+
+
 def test_threads_change_no_bit():
     chain = Elastic(8, 2.0, 0.5, drive="edge")
     one, two = (
@@ -222,6 +232,7 @@ def test_threads_change_no_bit():
         ({"edge_stiffness": 1.0}, "edge_stiffness: not allowed unless"),
         ({"load": (1.0, 2.0)}, "load: has 2; must be 4 numbers"),
         ({"load": (1.0, 2.0, -1.0, 1.0)}, "load = -1.0: must be"),
+        ({"load": 1.0}, "load = 1.0: must be numbers, one for each block"),
         ({"drive": "edge", "edges": "periodic"}, "drive: blocks that differ"),
         ({"load": (1.0,) * 4, "blocks": (2, 2)}, "load: blocks that differ"),
         ({"drive": "rope"}, "drive = 'rope'"),
