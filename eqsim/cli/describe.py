@@ -17,7 +17,7 @@ from eqsim.paper import NOTE
 
 with lazily():
     from eqsim import materials
-    from eqsim.engine import trajectory
+    from eqsim.engine import elastic, trajectory
     from eqsim.io import runfile, schema, surface, units
     from eqsim.model import groups
 
@@ -41,7 +41,10 @@ def info(
     cores(threads)
     ensemble, drive = file.ensemble, file.drive
     found = groups.groups(ensemble, drive)
-    lives = trajectory.predicted_lives(ensemble, drive, file.output.replicas)
+    predicted = trajectory.predicted_lives
+    if drive.elastic:
+        predicted = elastic.expected_lives
+    lives = predicted(ensemble, drive, file.output.replicas)
     found += units.scales(ensemble, file.units, file.interface)
     stage = file["drive.stage"]
     if stage and (machine := surface.machine_stiffness(file, stage["stiffness"])):

@@ -243,9 +243,7 @@ def check_elastic(
     programme = _programme_of(drive, ensemble)
     distance = sum(one.path for one in programme.segments) / ensemble.thresholds.mean
     require_number("distance / threshold", distance, least=1e-6, most=1e6)
-    lives = ensemble.count * replicas * (1.0 + distance)
-    if isinstance(drive, Programme) or ensemble.thermal.active or elastic.differ:
-        lives = replicas * _expected(ensemble, programme, elastic)
+    lives = expected_lives(ensemble, drive, replicas)
     require_lives(lives, max_lives)
     if points * elastic.count * replicas > _MOST_RECORDS:
         raise InputError(
@@ -260,6 +258,19 @@ def check_elastic(
             "has fewer"
         )
     return elastic, lives
+
+
+def expected_lives(
+    ensemble: Ensemble, drive: Drive | Programme, replicas: int = 1
+) -> float:
+    """Predict the number of lives of a run of coupled blocks."""
+    programme, elastic = _programme_of(drive, ensemble), drive.elastic
+    assert elastic
+    warm = elastic.follows_events(ensemble.thermal.active)
+    if isinstance(drive, Programme) or warm:
+        return replicas * _expected(ensemble, programme, elastic)
+    distance = programme.segments[0].path / ensemble.thresholds.mean
+    return ensemble.count * replicas * (1.0 + distance)
 
 
 class _Totals(NamedTuple):

@@ -33,6 +33,7 @@ from eqsim import (
 )
 from eqsim.engine import block_events
 from eqsim.engine.contacts import contacts
+from eqsim.engine.elastic import expected_lives
 from eqsim.engine.lanes import draw_birth
 from eqsim.io.runfile import opened
 from eqsim.io.states import States
@@ -213,6 +214,13 @@ def test_weak_springs_remember_their_force():
     found = pulled(few, soft, 200.0, 0.1, points=3)
     assert not found.friction.reliable
     assert found.friction.dof == 1
+
+
+def test_soft_springs_hardly_move_blocks():
+    """Predicted lives are those of blocks, not of a slider that moves with the plate."""
+    drive = Drive(1.0, 3e3, elastic=Elastic(4, 1.0, 1e-4))
+    lives = elastic_trajectory(WARM, drive, points=3).lives
+    assert 0.5 < expected_lives(WARM, drive) / lives < 2.0
 
 
 def test_threads_change_no_bit():
