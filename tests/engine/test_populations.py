@@ -40,6 +40,7 @@ from eqsim import (
     z_score,
 )
 from eqsim.engine import slider
+from eqsim.master import slider as mean_field
 from eqsim.model.ensemble import Kind, split
 
 STRONG = Population(
@@ -447,6 +448,19 @@ def test_the_mean_field_of_identical_populations_is_that_of_one():
     assert missed(replace(COLD, populations=kinds), COLD) < 1e-10
     kinds = [Population(0.3), Population(0.7, stiffness=1.5, thresholds=Gamma(2.0))]
     assert missed(replace(COLD, populations=kinds), COLD) > 1e-2
+
+
+@pytest.mark.parametrize("start", ["fresh", "stationary"])
+def test_steps_of_all_kinds_are_repeated(start):
+    """As fits of records do, up to rounding of some hundred steps, each found again as
+    the difference of its ends."""
+    kinds = [Population(0.3), Population(0.7, thresholds=Gamma(1.0, x_star=0.5))]
+    velocity = 0.3 if start == "stationary" else None
+    drive = replace(SLIDES, start=start, velocity=velocity)
+    task = replace(COLD, populations=kinds), drive, drive.grid(5), 0.7
+    noted = mean_field.choices_of(*task, 4000)
+    again = mean_field.force_of(*task, 4000, noted)
+    assert np.abs(again - mean_field.force_of(*task, 4000)).max() < 1e-12
 
 
 @pytest.mark.verification
