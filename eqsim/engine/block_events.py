@@ -22,6 +22,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from eqsim.engine.avalanches import events_of
@@ -426,7 +427,7 @@ def interface_of(
         kept = (1.0 - passed) * ones
         return Interface(*begun, response, ones, kept, 1.0 - passed, ahead)
     weights = contacts / contacts.mean()
-    balance = splu(elastic.balance(contacts))
+    balance = splu(_balance(elastic, weights))
     share = balance.solve(elastic.springs)
     decay = math.acosh(1.0 + weights.min() / (2.0 * max(elastic.coupling, 1e-300)))
     B = elastic.count
@@ -447,6 +448,17 @@ def interface_of(
     share = np.maximum(share, _LEAST_SHARE)
     G /= share[first[:, None] + np.arange(width)]
     return Interface(*begun, Banded(G, first, 0.0), share, kept, 1.0, ahead)
+
+
+def _balance(elastic: Elastic, weights: Array) -> sparse.csc_array:
+    """(diag(K_j + n_j k) + kappa_b L)/(n k) of a chain with open edges, whose blocks
+    have numbers of contacts in the ratios of `weights`, (blocks,), of mean 1."""
+    neighbours = np.full(elastic.count, 2.0)
+    neighbours[0] -= 1.0
+    neighbours[-1] -= 1.0
+    own = elastic.springs + weights + elastic.coupling * neighbours
+    between = np.full(elastic.count - 1, -elastic.coupling)
+    return sparse.diags_array((between, own, between), offsets=(-1, 0, 1), format="csc")
 
 
 class Instants(NamedTuple):

@@ -357,6 +357,12 @@ def chain_trajectory(
     fine, coarse = runs[::2], runs[1::2]
     means, again = (np.array([run.means for run in half]) for half in (fine, coarse))
     columns = pulled_columns(ensemble, programme, grid, pull, means, again)
+    if chain.mass == 0.0:
+        # nothing but missed forces tells the step, and fast relaxation is over before
+        # the first record that both runs have
+        least = np.where(grid.t > 0.0, chain.tolerance * ensemble.thresholds.mean, 0.0)
+        for name in ("X_stderr", "force_stderr"):
+            columns[name] = np.hypot(columns[name], least)
     X = np.array([run.records["X"] for run in fine])
     stage = np.array([run.means["stage"] for run in fine])
     springs = chain.springs * (stage[..., None] - X)

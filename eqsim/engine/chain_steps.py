@@ -468,7 +468,12 @@ def _next_step(c: Chained, dt: float, cut: bool) -> float:
     links, b, s = c.links, c.blocks, c.course[0]
     error = 0.0
     longest = math.inf
-    finest = links.tolerance / max(links.tolerance, 1.0 / links.mean_count)
+    # waves of single breaks, which a block of few contacts always has
+    finest, breaks = 1.0, 0.0
+    for j in range(b.X.size):
+        breaks += b.breaks[j]
+    if breaks > 0.0:
+        finest = links.tolerance / max(links.tolerance, 1.0 / links.mean_count)
     for j in range(b.X.size):
         sums = c.now[j]
         noise = NOISE * math.sqrt(sums.scatter / links.mean_count)
@@ -477,7 +482,6 @@ def _next_step(c: Chained, dt: float, cut: bool) -> float:
         if links.mass > 0.0:
             stiffest = elastic + 2.0 * links.coupling * links.neighbours[j]
             shaken = 4.0 * dt * dt * b.jump[j] * stiffest
-            # waves of single breaks, which a block of few contacts always has
             error = max(error, shaken if links.free else shaken * finest)
         if links.waits and sums.square > 0.0:
             force = math.sqrt(sums.square / sums.pinned) / links.mean_count

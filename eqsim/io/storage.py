@@ -18,7 +18,10 @@ import numpy as np
 
 from eqsim.errors import InputError
 from eqsim.io.signals import undone
-from eqsim.results import RESULTS_VERSION
+from eqsim.lazy import lazily
+
+with lazily():
+    from eqsim import results
 
 # Files in the folder of a sweep (`eqsim.sweeps.store`).
 SWEEP_TABLE = "sweep.parquet"  # all rows, in the order of the grid, once all are there
@@ -165,7 +168,7 @@ def unfinished(out: Path, *parts: str) -> Path:
     for old in out.glob(".unfinished-*"):
         if time.time() - old.stat().st_mtime > _FORGOTTEN_SECONDS:
             shutil.rmtree(old, ignore_errors=True)
-    all_parts = versions()["eqsim"], str(RESULTS_VERSION), *parts
+    all_parts = versions()["eqsim"], str(results.RESULTS_VERSION), *parts
     digest = hashlib.sha256(" ".join(all_parts).encode()).hexdigest()
     return out / f".unfinished-{digest[:16]}"
 

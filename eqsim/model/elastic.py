@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import sparse
 
 from eqsim.errors import (
     InputError,
@@ -184,18 +183,6 @@ class Elastic:
             said = f"gives block {few} no contact of {count}; take more of them"
             raise InputError(f"load: {said}")
         return np.asarray(found)
-
-    def balance(self, contacts: Array) -> sparse.csc_array:
-        """(diag(K_j + n_j k) + kappa_b L)/(n k) of blocks with numbers of `contacts`,
-        (blocks,), of a chain with open edges."""
-        neighbours = np.full(self.count, 2.0)
-        neighbours[0] -= 1.0
-        neighbours[-1] -= 1.0
-        own = self.springs + contacts / contacts.mean() + self.coupling * neighbours
-        between = np.full(self.count - 1, -self.coupling)
-        return sparse.diags_array(
-            (between, own, between), offsets=(-1, 0, 1), format="csc"
-        )
 
     def response(self) -> Array:
         """n k G between blocks at a distance of (dy, dx), shape (2 Ry + 1, 2 Rx + 1)

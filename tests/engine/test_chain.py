@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import linalg
+from scipy import integrate, linalg
 
 from eqsim import (
     Chain,
@@ -473,3 +473,27 @@ def test_run_files_are_refused(changes, said):
     with pytest.raises(InputError) as error:
         run_file(check(data))
     assert str(error.value).startswith(said)
+
+
+@pytest.mark.parametrize(("mass", "damping"), [(1.0, 0.3), (0.0, 0.5)])
+@pytest.mark.parametrize("count", [3, 300])
+def test_errors_without_breaks(mass, damping, count):
+    """Three blocks that are pulled and held, before anything breaks: within the quoted
+    error, however few contacts a block has, and to the tolerance."""
+    chain = Chain(3, 2.0, 0.5, mass=mass, damping=damping, tolerance=1e-4)
+    segments = Segment(0.03, time=3.0, points=30), Segment(time=6.0, points=30)
+    contacts = Ensemble(Delta(1.0), count=count, stiffness_law="uniform")
+    found = trajectory(contacts, Programme(segments, chain=chain))
+    springs = 1.5 * np.eye(3) + 2.0 * np.array([[1, -1, 0], [-1, 2, -1], [0, -1, 1]])
+
+    def motion(t, y):
+        net = 0.5 * 0.03 * min(t, 3.0) - springs @ y[:3]
+        if mass == 0.0:
+            return np.concatenate((net / damping, np.zeros(3)))
+        return np.concatenate((y[3:], (net - damping * y[3:]) / mass))
+
+    how = {"t_eval": found.t, "rtol": 1e-10, "atol": 1e-13, "max_step": 0.05}
+    exact = integrate.solve_ivp(motion, (0.0, 9.0), np.zeros(6), **how).y[:3].mean(0)
+    off = np.abs(found.X - exact)
+    assert (off <= 2.0 * found.X_stderr).all()
+    assert off.max() < 1e-4
