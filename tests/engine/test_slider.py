@@ -319,7 +319,8 @@ def test_mean_field_is_of_second_order():
         0, -1
     ]
     numerics = numerics_of(reduced, course, math.inf)
-    task = slider.PulledTask(numerics, spring, np.array([0.0, 1.0]))
+    part = slider.Part(DELAYED.kinds[0], numerics, 1.0)
+    task = slider.PulledTask([part], course, spring, np.array([0.0, 1.0]))
     found = (slider.solved(task, fine) for fine in (1, 4))
     coarse, fine = (abs(one.solution.X[-1] - exact) for one in found)
     assert coarse < 1e-5

@@ -266,7 +266,8 @@ def test_completion_lists_what_is_meant(path):
     file = eqsim.load(path)
     shown = {name for name in dir(file) if not name.startswith("__")}
     assert shown == {
-        *("drive", "ensemble", "fit", "folder", "given", "interface", "output"),
+        *("blocks", "drive", "ensemble", "fit", "folder", "given", "interface"),
+        "output",
         *("quantities", "said", "settings", "sweep", "text", "title", "units"),
         "with_changes",
     }

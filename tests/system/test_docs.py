@@ -178,6 +178,7 @@ def test_pictures_are_drawn_by_commands():
     measured = {"ns-by-part.png", "layers.png"}  # by benchmarks
     # by an analysis of minutes, and a fit of half an hour
     measured |= {"rate-and-state-contacts.png", "basalt-contacts.png"}
+    measured |= {"precursors.png", "front-speeds.png"}  # by a notebook
     assert {path.name for path in found} - {"readme.png"} - measured == set(
         pages.pictures()
     )
