@@ -156,19 +156,6 @@ def test_messages_name_the_population(old, new, said):
         _ = file_of(text).ensemble
 
 
-def test_a_fit_behind_a_spring_is_refused(tmp_path):
-    text = (RUNS / "fit-basalt-step.toml").read_text()
-    (tmp_path / "fit.toml").write_text(text + "[[population]]\nshare = 1.0\n")
-    record = RUNS / "basalt-velocity-step.csv"
-    (tmp_path / record.name).write_bytes(record.read_bytes())
-    done = call("fit", tmp_path / "fit.toml", "--out", tmp_path / "fitted")
-    assert done.exit_code == 2
-    assert done.output == (
-        "eqsim: population: not allowed with fit.record behind drive.stage, whose mean "
-        "field is of contacts of one kind\n"
-    )
-
-
 def test_labels():
     assert axis("population.1.thermal.kT", Units()).startswith(
         "thermal energy of population 1"
