@@ -43,7 +43,7 @@ def elastic_figure(
     top.legend(loc="lower right")
     low.plot(along, _in_space(run, "X").std(axis=1), color="C2")
     low.set(xlabel=caption.along(name), xlim=(along[0], along[-1]), ylim=(0, None))
-    low.set_ylabel(caption.unit("standard deviation\nof $X$ between blocks"))
+    low.set_ylabel(caption.unit("spread of $X$\nbetween blocks"))
     return figure
 
 

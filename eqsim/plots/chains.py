@@ -38,7 +38,7 @@ def chain_figure(run: "ChainTrajectory", caption: Caption) -> Figure:
     top.legend(loc="lower right")
     low.plot(run.t, run.roughness, color="C2")
     low.set(xlabel=caption.along("t"), xlim=(run.t[0], run.t[-1]), ylim=(0, None))
-    low.set_ylabel(caption.unit("standard deviation\nof $X$ between blocks"))
+    low.set_ylabel(caption.unit("spread of $X$\nbetween blocks"))
     return figure
 
 
