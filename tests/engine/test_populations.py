@@ -384,7 +384,7 @@ def test_a_stiff_stage_moves_all_kinds_as_a_rigid_slider(monkeypatch, wrong):
     and the difference of X, and energies add up; not if lengths of a kind are taken for
     those of the ensemble."""
     if wrong:
-        monkeypatch.setattr(slider, "_OF_LENGTH", np.zeros(10))
+        monkeypatch.setattr(slider, "_OF_LENGTH", np.zeros_like(slider._OF_LENGTH))
     contacts = replace(MIX, count=4000)
     drive = Programme(
         [Segment(0.3, distance=3.0), Segment(0, time=3.0)],
