@@ -26,7 +26,7 @@ from eqsim.fitting.model import (
 from eqsim.fitting.record import Correlation, RecordForward
 from eqsim.fitting.section import Fit, Parameter, parameters_of, section_of
 from eqsim.io import storage
-from eqsim.io.runfile import RunFile, at, opened, path_of
+from eqsim.io.runfile import RunFile, at, contents_of, opened, path_of
 from eqsim.laws.barrier import BARRIERS
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
@@ -485,9 +485,10 @@ def fit(
     if isinstance(keep, str | Path):
         keep = Keep(Path(keep))
     if keep is not None:
-        digest, points = prepared.table.sha256, str(np.array(every).tobytes())
-        settings = storage.to_json(file.settings)
-        unfinished = storage.unfinished(keep.folder, settings, digest, points)
+        settings, digest = storage.to_json(file.settings), prepared.table.sha256
+        parts = settings, digest, np.array(every).tobytes()
+        contents = contents_of(file).values()
+        unfinished = storage.unfinished(keep.folder, *parts, *contents)
     with Workers(workers).executor() as executor:
         tasks = Tasks(executor, unfinished, workers)
         told = (lambda result: None) if keep is None else keep.estimated

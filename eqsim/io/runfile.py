@@ -818,6 +818,19 @@ def _stage(file: RunFile) -> None:
         raise InputError("drive.stage.stiffness: is required")
 
 
+def contents_of(file: RunFile) -> dict[str, bytes]:
+    """Contents of the files of thresholds and drives that a run file names, by name.
+    Raises InputError for one that cannot be read."""
+    names = [file["thresholds.file"], file["drive.file"]]
+    names += [x["thresholds"]["file"] for x in file["population"] or []]
+    try:
+        return {name: (file.folder / name).read_bytes() for name in names if name}
+    except OSError as error:
+        raise InputError(
+            f"{error.filename}: cannot be read ({error.strerror})"
+        ) from None
+
+
 def path_of(field: str, folder: Path, name: str) -> Path:
     """The path of a file that a key names, relative to `folder`. Raises InputError for
     an empty name."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from eqsim.io import storage
-from eqsim.io.runfile import RunFile
+from eqsim.io.runfile import RunFile, contents_of
 from eqsim.numerics.tables import Array
 
 _EVERY = 30.0  # seconds between two states of a replica
@@ -21,7 +21,7 @@ class States:
     """States of the replicas of a run (`engine.keeping.Keep`), in a folder of `out` that
     is named by a digest of `parts`, all that its numbers depend on."""
 
-    def __init__(self, out: Path, *parts: str) -> None:
+    def __init__(self, out: Path, *parts: str | bytes) -> None:
         self.folder = storage.unfinished(out, *parts)
         self.begin = time.perf_counter()
         self.saved: dict[int, float] = {}
@@ -58,7 +58,7 @@ def kept(file: RunFile, out: Path | None) -> Iterator[States | None]:
     if out is None:
         yield None
         return
-    steps = file.ensemble.thresholds.steps.tobytes().hex()
-    states = States(out, storage.to_json(file.settings), steps)
+    contents = contents_of(file).values()
+    states = States(out, storage.to_json(file.settings), *contents)
     yield states
     states.remove()

@@ -161,16 +161,18 @@ def save(path: Path, content: bytes) -> None:
     publish(path.parent, {path.name: content}, str(path))
 
 
-def unfinished(out: Path, *parts: str) -> Path:
+def unfinished(out: Path, *parts: str | bytes) -> Path:
     """The folder for what a command that may be stopped has done, named by a digest of
     all that its numbers depend on and of the release of eqsim. Folders to which nothing
     was added for long are removed."""
     for old in out.glob(".unfinished-*"):
         if time.time() - old.stat().st_mtime > _FORGOTTEN_SECONDS:
             shutil.rmtree(old, ignore_errors=True)
-    all_parts = versions()["eqsim"], str(results.RESULTS_VERSION), *parts
-    digest = hashlib.sha256(" ".join(all_parts).encode()).hexdigest()
-    return out / f".unfinished-{digest[:16]}"
+    digest = hashlib.sha256()
+    for part in (versions()["eqsim"], str(results.RESULTS_VERSION), *parts):
+        content = part.encode() if isinstance(part, str) else part
+        digest.update(hashlib.sha256(content).digest())
+    return out / f".unfinished-{digest.hexdigest()[:16]}"
 
 
 def publish(folder: Path, files: dict[str, bytes], place: str = "") -> None:

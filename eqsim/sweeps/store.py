@@ -26,7 +26,7 @@ from eqsim.engine.records import OF_SEGMENT, OF_STEP
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES
 from eqsim.io import storage
-from eqsim.io.runfile import RunFile, keys, naming, parameters
+from eqsim.io.runfile import RunFile, contents_of, keys, naming, parameters
 from eqsim.io.storage import SWEEP_HIDDEN, SWEEP_MANIFEST, SWEEP_PARTS, SWEEP_TABLE
 from eqsim.io.units import Quantity, quantities
 from eqsim.model.ensemble import Ensemble
@@ -189,10 +189,10 @@ class Store:
         values |= {f"sweep.{key}": value for key, value in entries(file.sweep)}
         values["order of axes"] = [*file.sweep]
         texts = {key: repr(value) for key, value in values.items()}
-        tables = [file["thresholds.file"], file.sweep.get("file")]
-        tables += [x["thresholds"]["file"] for x in file["population"] or []]
-        for name in {*tables} - {None}:
-            content = (file.folder / str(name)).read_bytes()
+        contents = contents_of(file)
+        if grid := file.sweep.get("file"):
+            contents[str(grid)] = (file.folder / str(grid)).read_bytes()
+        for name, content in contents.items():
             texts[f"content of {name}"] = _digest(content)
         return texts | {"schema": str(SCHEMA), _VERSION: str(RESULTS_VERSION)}
 

@@ -36,7 +36,7 @@ from eqsim.engine.contacts import contacts
 from eqsim.engine.elastic import expected_lives
 from eqsim.engine.lanes import draw_birth
 from eqsim.io.runfile import opened
-from eqsim.io.states import States
+from eqsim.io.states import States, kept
 from eqsim.master.chain_creep import creep_velocity
 from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.workflows.run import run as run_file
@@ -137,7 +137,9 @@ def test_avalanches_one_by_one(elastic):
 
 
 def test_a_lattice_whose_blocks_are_alike():
-    """Equal loads that are listed: the same avalanches as without a list."""
+    """Equal loads that are listed: the same avalanches as without a list. Levels add up
+    some thousand displacements rounded to 1e-14, and a band cuts off what is below
+    1e-12 of a block's own."""
     cold = Ensemble(count=480, **UNIFORM)
     alike = Elastic(24, 20.0, 0.25), Elastic(24, 20.0, 0.25, load=(1.0,) * 24)
     ours, theirs = (pulled(cold, one, 20.0, points=3).avalanches for one in alike)
@@ -147,7 +149,8 @@ def test_a_lattice_whose_blocks_are_alike():
 
 def test_precursors_at_exact_loads():
     """Identical thresholds, a half infinite chain, whose edge is pulled through a soft
-    spring: the loads are rational numbers (derived), and of 10 blocks sinh and cosh."""
+    spring: the loads are rational numbers (derived), and of 10 blocks sinh and cosh. A
+    level of 8e3 is rounded to 1e-12, and a load is 1e-3 of it."""
     few = Ensemble(Delta(1.0), count=10, **UNIFORM)
     first = pulled(few, Elastic(10, 20.0, 1e-3, drive="edge"), 5.5e3, points=2)
     load = 10.0 * first.avalanches["before"][0]
@@ -508,3 +511,16 @@ def test_blocks_may_stand_in_the_interface(tmp_path):
         done = call("run", tmp_path / "bad.toml")
         assert done.exit_code == 2
         assert said in " ".join(done.output.split())
+
+
+def test_states_belong_to_the_content_of_a_recorded_drive(tmp_path):
+    """Another record under the same name has states of its own."""
+    start, end = RUN_FILE.index("velocity"), RUN_FILE.index("[elastic]")
+    text = f'{RUN_FILE[:start]}file = "drive.csv"\n{RUN_FILE[end:]}'
+    (tmp_path / "run.toml").write_text(text)
+    folders = set()
+    for last in (1.0, 1.0, 2.0):
+        (tmp_path / "drive.csv").write_text(f"t,X\n0,0\n1,0.5\n2,{last}\n")
+        with kept(opened(tmp_path / "run.toml"), tmp_path / "out") as states:
+            folders.add(states.folder)
+    assert len(folders) == 2
