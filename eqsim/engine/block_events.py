@@ -22,7 +22,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from eqsim.engine.avalanches import events_of
@@ -34,7 +33,9 @@ from eqsim.engine.lattice import (
     LEAF,
     Banded,
     Response,
+    balance_of,
     lowest_block,
+    no_levels,
     response_of,
     spread,
 )
@@ -427,7 +428,7 @@ def interface_of(
         kept = (1.0 - passed) * ones
         return Interface(*begun, response, ones, kept, 1.0 - passed, ahead)
     weights = contacts / contacts.mean()
-    balance = splu(_balance(elastic, weights))
+    balance = splu(balance_of(elastic.springs + weights, elastic.coupling))
     share = balance.solve(elastic.springs)
     decay = math.acosh(1.0 + weights.min() / (2.0 * max(elastic.coupling, 1e-300)))
     B = elastic.count
@@ -448,17 +449,6 @@ def interface_of(
     share = np.maximum(share, _LEAST_SHARE)
     G /= share[first[:, None] + np.arange(width)]
     return Interface(*begun, Banded(G, first, 0.0), share, kept, 1.0, ahead)
-
-
-def _balance(elastic: Elastic, weights: Array) -> sparse.csc_array:
-    """(diag(K_j + n_j k) + kappa_b L)/(n k) of a chain with open edges, whose blocks
-    have numbers of contacts in the ratios of `weights`, (blocks,), of mean 1."""
-    neighbours = np.full(elastic.count, 2.0)
-    neighbours[0] -= 1.0
-    neighbours[-1] -= 1.0
-    own = elastic.springs + weights + elastic.coupling * neighbours
-    between = np.full(elastic.count - 1, -elastic.coupling)
-    return sparse.diags_array((between, own, between), offsets=(-1, 0, 1), format="csc")
 
 
 class Instants(NamedTuple):
@@ -561,8 +551,7 @@ def simulate(
 def _blocks_of(interface: Interface) -> Blocks:
     """Make blocks, to be prepared."""
     B, N = interface.contacts.size, int(interface.contacts.sum())
-    filled = -(-B // LEAF)
-    leaves = 1 << (filled - 1).bit_length()
+    h, tree = no_levels(B)
     return Blocks(
         birth=np.zeros(N),
         xi=np.zeros(N),
@@ -571,8 +560,8 @@ def _blocks_of(interface: Interface) -> Blocks:
         start=np.append(0, np.cumsum(interface.contacts)),
         wall=np.zeros(B),
         at=np.zeros(B),
-        h=np.full(filled * LEAF, math.inf),
-        tree=np.full(2 * leaves, math.inf),
+        h=h,
+        tree=tree,
         rates=np.zeros(2 << (B - 1).bit_length()),
         share=interface.share,
         kept=interface.kept,

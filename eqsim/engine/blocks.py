@@ -23,6 +23,7 @@ MOST_SENT = 64  # replicas whose forces a worker of an executor sends back
 # shares of blocks for each worker of an executor: few, so that tables and sums are
 # seldom sent, but several, so that workers end together
 _SHARES_PER_WORKER = 4
+_MOST_RECORDS = 20_000_000  # of all blocks and replicas: some 1 GB of memory
 
 
 class Totals:
@@ -146,6 +147,16 @@ def require_lives(expected: float, max_lives: float) -> None:
         raise InputError(
             f"this run needs about {expected:.3g} lives, more than max_lives = "
             f"{max_lives:.3g}"
+        )
+
+
+def require_records(points: int, blocks: int) -> None:
+    """Raise InputError if `points` records of so many blocks of all replicas take too
+    much memory."""
+    if points * blocks > _MOST_RECORDS:
+        raise InputError(
+            f"output.points = {points}: records of all blocks and replicas must be <= "
+            f"{_MOST_RECORDS:.0e} in number"
         )
 
 

@@ -14,9 +14,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
+from scipy.sparse.linalg import splu
 
-from eqsim.engine.blocks import Progress, Threads, workers_of
+from eqsim.engine.blocks import Progress, Threads, require_records, workers_of
 from eqsim.engine.chain_records import ChainTrajectory, fronts_of
 from eqsim.engine.chain_steps import (
     BROKE,
@@ -33,6 +33,7 @@ from eqsim.engine.chain_steps import (
 )
 from eqsim.engine.contacts import contacts
 from eqsim.engine.keeping import Keep, State
+from eqsim.engine.lattice import balance_of
 from eqsim.engine.records import by_replica
 from eqsim.engine.slider import BLOCK, CONTACT, FIRST_STEP, SUMS, find_stationary
 from eqsim.engine.slider_runs import (
@@ -54,7 +55,6 @@ from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool
 
-_MOST_RECORDS = 20_000_000  # of all blocks and replicas: some 1 GB of memory
 _EVENT_SPEED = 2.0  # velocity of a block in an event, over the fastest drive
 _TOLD_AFTER = 256  # steps between calls of `progress`
 _BLOCKS_PER_THREAD = 20  # of `BLOCK` contacts: waking a thread takes as long
@@ -115,7 +115,7 @@ def chained(
         periodic=chain.edges == "periodic",
         free=free,
         springs=chain.springs,
-        neighbours=chain.neighbours if B > 1 else np.zeros(1),
+        neighbours=chain.neighbours,
         ends=ends,
         mean_count=ensemble.count / B,
         longest=longer * math.sqrt(chain.tolerance) * width / unit,
@@ -156,14 +156,8 @@ def _balanced(links: Links, force: Array) -> Array:
     """Displacements of springs under a `force` on each block, with Y = 0, (B,)."""
     if links.free:
         return force / links.springs
-    size = force.size
-    beside = np.full(size - 1, -links.coupling)
-    diagonals = {0: links.springs + links.coupling * links.neighbours}
-    diagonals |= {1: beside, -1: beside}
-    if links.periodic:
-        diagonals |= {size - 1: beside[:1], 1 - size: beside[:1]}
-    whole = sparse.diags_array([*diagonals.values()], offsets=[*diagonals])
-    return np.asarray(sparse.linalg.spsolve(whole.tocsc(), force))
+    balance = balance_of(links.springs, links.coupling, links.periodic)
+    return np.asarray(splu(balance).solve(force))
 
 
 class _Run(NamedTuple):
@@ -300,11 +294,7 @@ def _check(
     """The chain of a run, which is neither too large nor too long."""
     chain, pull = pull_of_chain(ensemble, programme)
     points = programme.grid(output.points).t.size
-    if points * chain.count * output.replicas > _MOST_RECORDS:
-        raise InputError(
-            f"output.points = {points}: records of all blocks and replicas must be <= "
-            f"{_MOST_RECORDS:.0e} in number"
-        )
+    require_records(points, chain.count * output.replicas)
     return chain, pull
 
 

@@ -142,7 +142,7 @@ class ChainTrajectory(PulledRecord):
         return float(i - 1 + share)
 
     def kind_of(self, speed: float) -> str:
-        """What a front of this speed (blocks/time) is called beside c = sqrt(K/M):
+        """Name of a front of this speed (blocks/time) beside c = sqrt(K/M):
         "slow" below 0.1 c, "supersonic" above c, else "fast"; "overdamped" without a
         mass."""
         if not self.chain.mass:

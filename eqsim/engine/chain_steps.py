@@ -42,7 +42,7 @@ _SECOND = 1.0 / (_GAMMA * (2.0 - _GAMMA))  # weight of its first result in the s
 
 
 class Links(NamedTuple):
-    """What does not change along a chain."""
+    """Springs, dampers and limits of a chain, which do not change while it moves."""
 
     coupling: float  # K
     bulk: float  # alpha

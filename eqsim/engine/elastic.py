@@ -27,7 +27,7 @@ import numpy as np
 
 from eqsim.engine import block_events
 from eqsim.engine.avalanches import events_of, put_back
-from eqsim.engine.blocks import require_lives
+from eqsim.engine.blocks import require_lives, require_records
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.keeping import Keep, State
 from eqsim.engine.lanes import draw_birth
@@ -35,6 +35,7 @@ from eqsim.engine.lattice import (
     LEAF,
     Response,
     lowest_block,
+    no_levels,
     response_of,
     rounded,
     spread,
@@ -61,8 +62,10 @@ _CHANGES_OF_FORCE = 4.0
 _FORGOTTEN = 5.0  # mean thresholds, after which warm contacts know no fresh start
 _RELIABLE_FROM = 8  # batches or replicas whose scatter tells the error of their mean
 _BETWEEN_PAUSES = 1e6  # breaks between moments at which a signal may stop a run
-_MOST_RECORDS = 20_000_000  # of all blocks and replicas: some 1 GB of memory
 _MOST_AVALANCHES = 30_000_000  # of all replicas: some 2 GB of memory
+
+# Columns of avalanches that are lengths, time as displacement among them.
+_LENGTHS = {"t", "D", "drop", "before"}
 
 # Why contacts and drives are refused.
 _BACKWARDS = "a contact born with more stretch than the last would move its block back"
@@ -245,11 +248,7 @@ def check_elastic(
     require_number("distance / threshold", distance, least=1e-6, most=1e6)
     lives = expected_lives(ensemble, drive, replicas)
     require_lives(lives, max_lives)
-    if points * elastic.count * replicas > _MOST_RECORDS:
-        raise InputError(
-            f"output.points = {points}: records of all blocks and replicas must be <= "
-            f"{_MOST_RECORDS:.0e} in number"
-        )
+    require_records(points, elastic.count * replicas)
     size = 1.0 if ensemble.thermal.active else elastic.mean_size
     if lives / size > _MOST_AVALANCHES:
         raise InputError(
@@ -288,7 +287,7 @@ class _Replica(NamedTuple):
 
     records: Array  # `BLOCK_STATE`, shape (points, B)
     totals: _Totals
-    avalanches: dict[str, Array]  # columns
+    avalanches: dict[str, Array]  # columns; `t` as displacement at the plate's pace
     breaks: int
 
 
@@ -371,8 +370,10 @@ class _Interface(NamedTuple):
         found, share = np.concatenate(events), 1.0 - elastic.branching
         # Force is lost by breaks and gained by the motion that they cause: what is left of
         # the loss is the share of the plate's motion that blocks follow at once.
+        D = found["level"] / share
         columns = {
-            "D": found["level"] / share,
+            "t": D,
+            "D": D,
             **{name: found[name] for name in ("block", "breaks", "blocks")},
             "drop": found["released"] * (share / count),
         }
@@ -442,19 +443,18 @@ class _WarmInterface(NamedTuple):
 def _blocks_of(elastic: Elastic, n: int) -> Blocks:
     """Make blocks of n contacts each, to be prepared."""
     B = elastic.count
-    filled = -(-B // LEAF)  # leaves
-    leaves = 1 << (filled - 1).bit_length()
+    h, tree = no_levels(B)
     return Blocks(
         position=np.empty((B, n)),
         contact=np.empty((B, n), np.int64),
         xi=np.empty(B * n),
         lives=np.empty(B * n, np.int64),
-        h=np.full(filled * LEAF, math.inf),
+        h=h,
         births=np.zeros(B),
         squares=np.zeros(B),
         breaks=np.zeros(B, np.int64),
         last=np.zeros(B, np.int64),
-        tree=np.full(2 * leaves, math.inf),
+        tree=tree,
     )
 
 
@@ -632,17 +632,11 @@ def simulate_blocks(
         over = X[X.size // 2] > _FORGOTTEN * ensemble.thresholds.mean / unit
     averages = [replace(one, reliable=one.reliable and over) for one in estimates]
     friction, size, single = averages
-    events = []
-    for run in runs:
-        for name in ("D", "drop", "before"):
-            if name in run.avalanches:
-                run.avalanches[name] = run.avalanches[name] * unit
-        if "t" in run.avalanches:  # displacement at the pace of the plate
-            pace = max(one.velocity for one in _programme_of(drive, ensemble).segments)
-            run.avalanches["t"] = run.avalanches["t"] * (unit / pace)
-            events.append(run.avalanches)
-        else:
-            events.append({"t": run.avalanches["D"] / drive.velocity, **run.avalanches})
+    pace = max(one.velocity for one in _programme_of(drive, ensemble).segments)
+    for columns in (run.avalanches for run in runs):
+        for name in _LENGTHS & columns.keys():
+            columns[name] = columns[name] * unit
+        columns["t"] = columns["t"] / pace
     blocks = by_replica([_of_blocks(run.records, t, D, unit) for run in runs])
     return ElasticTrajectory(
         D=D,
@@ -656,7 +650,7 @@ def simulate_blocks(
         friction=friction,
         size=size,
         single=single,
-        avalanches=by_replica(events),
+        avalanches=by_replica([run.avalanches for run in runs]),
         blocks=blocks,
         lives=count * replicas + sum(run.breaks for run in runs),
         seed=seed,

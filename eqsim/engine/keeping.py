@@ -22,7 +22,7 @@ class Keep(Protocol):
 
 
 class State(NamedTuple):
-    """What a run needs to go on: `arrays`, which it changes in place, and lists that
+    """Numbers from which a run goes on: `arrays`, which it changes in place, and lists that
     grow, of `rows` of one shape or of `chunks` of a table."""
 
     arrays: dict[str, Array]

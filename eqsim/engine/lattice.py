@@ -10,6 +10,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import sparse
 
 from eqsim.model.elastic import Elastic
 from eqsim.numerics.compiled import by_law, routine
@@ -43,6 +44,29 @@ def rounded(x: float, unit: float) -> float:
     """Nearest multiple of a power of 2."""
     big = unit * TO_WHOLE
     return (x + big) - big
+
+
+def no_levels(blocks: int) -> tuple[Array, Array]:
+    """Thresholds `h` of blocks and their `tree`, all infinite."""
+    filled = -(-blocks // LEAF)
+    leaves = 1 << (filled - 1).bit_length()
+    return np.full(filled * LEAF, math.inf), np.full(2 * leaves, math.inf)
+
+
+def balance_of(own: Array, coupling: float, periodic: bool = False) -> sparse.csc_array:
+    """diag(own) + kappa L of a chain, over n k: `own` springs of the blocks, (blocks,),
+    and those between neighbours."""
+    size = own.size
+    neighbours = np.full(size, 2.0)
+    if not periodic:
+        neighbours[0] -= 1.0
+        neighbours[-1] -= 1.0
+    beside = np.full(size - 1, -coupling)
+    diagonals = {0: own + coupling * neighbours, 1: beside, -1: beside}
+    if periodic:
+        diagonals |= {size - 1: beside[:1], 1 - size: beside[:1]}
+    whole = sparse.diags_array([*diagonals.values()], offsets=[*diagonals])
+    return whole.tocsc()
 
 
 class Reached(NamedTuple):

@@ -1,4 +1,4 @@
-"""What is read off records: slips, forces and peaks of segments, velocity steps."""
+"""Readings of records: slips, forces and peaks of segments, velocity steps."""
 
 import math
 from dataclasses import replace

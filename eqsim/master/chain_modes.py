@@ -241,11 +241,7 @@ def _lowest(chain: Chain, K_d: float) -> float:
     the edge included, have the stiffness K_d + K (2 - 2 cos q)."""
     if chain.drive == "plate":
         return 0.0
-    diagonal = np.full(chain.count, 2.0 * chain.coupling)
-    diagonal[[0, -1]] -= chain.coupling
-    if chain.count == 1:
-        diagonal[0] = 0.0
-    diagonal += chain.springs - K_d
+    diagonal = chain.coupling * chain.neighbours + chain.springs - K_d
     beside = np.full(chain.count - 1, -chain.coupling)
     softest = linalg.eigvalsh_tridiagonal(diagonal, beside, "i", (0, 0))[0]
     return 2.0 * math.asin(min(math.sqrt(softest / chain.coupling) / 2.0, 1.0))

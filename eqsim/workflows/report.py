@@ -53,7 +53,7 @@ class FileResult:
 
     @property
     def phase(self) -> str:
-        """What its files wait for, as a progress bar says it."""
+        """Name of the work that its files wait for, as a progress bar shows it."""
         return "writing"
 
     def summary(self) -> dict[str, Any]:
