@@ -173,7 +173,7 @@ def front_prestress(
 
     With Lam(w; s) = s - M w^2 - i eta w + 4 K sin^2(w/(2 v)) and a = 1 + K_d it is
 
-        1 - 1/(2 a) + (1/pi) int_0^inf eta/|Lam(w; a)|^2 dw
+        1 - 1/(2 a) + (1/pi) int_0^inf eta/abs(Lam(w; a))^2 dw
 
     of contacts that are "reattached" at once (derived), and for others an exponential
     of such an integral (derived; rigid: Amundsen et al., Phys. Rev. E 92, 032406, 2015).
