@@ -446,11 +446,8 @@ def quadrature_rate(density, low, high, stiffness, rms, barrier, b, y):
             if barrier is Soft:
                 return density(xi) * mpmath.exp(-a * (xi**2 - y**2))
             gap = 1 - y / xi
-            return (
-                density(xi)
-                * mpmath.sqrt(gap)
-                * mpmath.exp(-a * xi**2 * gap ** mpmath.mpf(1.5))
-            )
+            p, q = (1, 2) if barrier is Cusp else (mpmath.mpf(0.5), mpmath.mpf(1.5))
+            return density(xi) * gap**p * mpmath.exp(-a * xi**2 * gap**q)
 
         edges = [left + (high - left) * mpmath.mpf(2) ** -j for j in range(40, -1, -1)]
         return float(mpmath.quad(integrand, [left, *edges], maxdegree=4))
