@@ -1,13 +1,22 @@
 """Kernels are compiled before workers start on all tests, in processes side by side,
 and not by every worker anew."""
 
+import gc
 import subprocess
 import sys
 from pathlib import Path
 
-from kernels import LAWS
+from kernels import LAWS, collect_garbage_rarely
 
 from eqsim.numerics.kernel_folder import kernel_folder
+
+
+def pytest_configure():
+    collect_garbage_rarely()
+
+
+def pytest_collection_finish():
+    gc.freeze()  # tests and modules stay until the end
 
 
 def pytest_sessionstart(session):

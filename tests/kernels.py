@@ -8,6 +8,7 @@ tests.
 """
 
 import functools
+import gc
 import sys
 from dataclasses import replace
 
@@ -40,6 +41,12 @@ def compiled(routine):
 
     call.__name__ = routine.__name__  # pytest names cases after it
     return numba.njit(call, error_model="numpy")
+
+
+def collect_garbage_rarely():
+    """Look for cycles of objects less often than Python does by default: while kernels
+    are compiled, that takes a tenth of the time."""
+    gc.set_threshold(100_000, 20, 10)
 
 
 def compile_kernels(barrier, aging):
@@ -75,5 +82,6 @@ def compile_kernels(barrier, aging):
 
 
 if __name__ == "__main__":
+    collect_garbage_rarely()
     for laws in sys.argv[1:]:
         compile_kernels(*laws.split("-"))

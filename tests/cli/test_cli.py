@@ -109,7 +109,7 @@ def test_what_was_not_seen_is_not_exact(run_file, tmp_path):
         "--out",
         tmp_path / "o",
         "--set",
-        "contacts.count=1",
+        "contacts.count=64",
         "--set",
         "drive.distance=1e-6",
     )

@@ -94,7 +94,7 @@ def test_healing_per_decade(tmp_path):
         (10.0, 100.0, 1000.0),
     )
     moves = ", ".join(f"{{hold = {t}, points = 9}}, {motion}" for t in holds)
-    text = RUN_FILE[: RUN_FILE.index("[thermal]")]
+    text = RUN_FILE[: RUN_FILE.index("[drive]")]
     text += "[aging]\nrule = 'logarithmic'\nbeta = 0.05\ncutoff_time = 0.1\n"
     text += f"[drive]\nvelocity = 1.0\nstart = 'stationary'\nprogramme = [{moves}]\n"
     (tmp_path / "run.toml").write_text(text)

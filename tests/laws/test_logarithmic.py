@@ -187,7 +187,7 @@ def test_numbers():
     assert still.declared(1.0) == plain.declared(1.0)
     assert reference(still, Drive(1.0)) == reference(plain, Drive(1.0))
     runs = [
-        trajectory(replace(e, count=50), Drive(1.0, 3.0), points=5).force
+        trajectory(replace(e, count=64), Drive(1.0, 3.0), points=5).force
         for e in (still, plain)
     ]
     assert np.array_equal(*runs)
