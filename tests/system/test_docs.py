@@ -1,9 +1,9 @@
 """The documentation: it can be built without a warning, and what it shows is what
 happens.
 
-`tests/pages.py` says what a block is. By default the site is built, every command that
-is shown is parsed and every run file read; with -m long all of them run, and print what
-is shown.
+`tests/pages.py` says what a block is. By default every command that is shown is parsed
+and every run file read; with -m long all of them run, and print what is shown, and the
+site is built.
 """
 
 import ast
@@ -15,7 +15,7 @@ import tomllib
 
 import pages
 import pytest
-from docutils import nodes
+from suites import needed
 from typer.main import get_command
 
 from eqsim.cli.app import app
@@ -37,6 +37,7 @@ def names(page):
 
 def build(source, target, *more):
     """Sphinx with warnings as errors."""
+    needed("sphinx")
     command = [
         sys.executable,
         "-m",
@@ -65,6 +66,7 @@ def test_the_site_can_be_built(tmp_path):
     )
 
 
+@pytest.mark.long
 def test_a_broken_reference_is_noticed(tmp_path):
     (tmp_path / "index.md").write_text("# Page\n\n[](nowhere.md)\n", encoding="utf-8")
     done = build(tmp_path, tmp_path / "out", "-C", "-D", "extensions=myst_parser")
@@ -72,13 +74,16 @@ def test_a_broken_reference_is_noticed(tmp_path):
     assert "nowhere.md" in done.stderr
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("formula", "right"),
     [(r"\frac{a}{b}", True), (r"\frok{a}{b}", False), ("a & b", False)],
 )
 def test_formulas_are_checked(formula, right, monkeypatch, caplog):
+    needed("sphinx")
     monkeypatch.syspath_prepend(DOCS / "extensions")
     import mathml
+    from docutils import nodes
 
     mathml.converted(nodes.math("", formula), "inline")
     assert bool(caplog.records) is not right

@@ -4,9 +4,9 @@ they run at reduced size."""
 import re
 from pathlib import Path
 
-import nbclient
 import nbformat
 import pytest
+from suites import needed
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 LONGEST = 300  # seconds for one cell, compilation of all kernels included; a warm notebook takes less than 25 in all
@@ -91,7 +91,8 @@ def test_runs_at_reduced_size(path, tmp_path, monkeypatch):
     notebook = read(path)
     for cell in code(notebook):
         cell.outputs, cell.execution_count = [], None
-    client = nbclient.NotebookClient(
+    needed("ipykernel")
+    client = needed("nbclient").NotebookClient(
         notebook,
         timeout=LONGEST,
         kernel_name="python3",
@@ -102,12 +103,15 @@ def test_runs_at_reduced_size(path, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []  # a notebook shows, it leaves nothing behind
 
 
+@pytest.mark.long
 def test_a_failed_assertion_is_noticed(tmp_path):
     """What a notebook asserts is what is tested: the same machinery fails on a false
     statement."""
     notebook = nbformat.v4.new_notebook(
         cells=[nbformat.v4.new_code_cell("assert 1 + 1 == 3")]
     )
+    nbclient = needed("nbclient")
+    needed("ipykernel")
     with pytest.raises(nbclient.exceptions.CellExecutionError):
         nbclient.NotebookClient(
             notebook, timeout=60, resources={"metadata": {"path": str(tmp_path)}}
