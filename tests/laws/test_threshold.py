@@ -1,6 +1,7 @@
 """Laws of thresholds: NumPy side against SciPy and mpmath, kernel side against NumPy,
 draws, and bad input."""
 
+import functools
 import math
 from contextlib import suppress
 
@@ -41,9 +42,11 @@ SHAPES = [0.0, 0.5, 1.0, 2.7, 30.0]
 # (numerics.tables). The quantile behaves as e^(1/(2n+2)) at small e and as sqrt(e) at
 # large e; no p in (0, 1/2] gives more than p = 0.38 does.
 TABLE_ERROR = 1.001 / (384 * CELLS**4)
-KERNEL_UNIFORMS = np.array(
-    [uniforms(key(11, TRAJECTORY), i, 0, 0)[0] for i in range(100_000)]
-)
+
+
+@functools.cache
+def kernel_uniforms():
+    return np.array([uniforms(key(11, TRAJECTORY), i, 0, 0)[0] for i in range(100_000)])
 
 
 def nakagami(law):
@@ -254,7 +257,7 @@ def ks(sample, cdf):
 def test_gamma_draws(n):
     """KS over 1e5 draws of the engine's streams, p > 1e-5 (false alarm of the whole
     file 2e-4); n + 0.05 (n+1) must fail."""
-    sample = drawn(Gamma(n, 2.5), KERNEL_UNIFORMS)
+    sample = drawn(Gamma(n, 2.5), kernel_uniforms())
     assert ks(sample, nakagami(Gamma(n, 2.5)).cdf) > 1e-5
     assert ks(sample, nakagami(Gamma(n + 0.05 * (n + 1), 2.5)).cdf) < 1e-5
 
@@ -262,7 +265,7 @@ def test_gamma_draws(n):
 @pytest.mark.parametrize("name", FROZEN)
 def test_distribution_draws(name):
     frozen = FROZEN[name]
-    sample = drawn(Distribution(frozen), KERNEL_UNIFORMS)
+    sample = drawn(Distribution(frozen), kernel_uniforms())
     assert ks(sample, frozen.cdf) > 1e-5
     assert ks(1.02 * sample, frozen.cdf) < 1e-5  # negative control
 
@@ -271,7 +274,7 @@ def test_table_draws():
     """Chi-square over five equally likely thresholds, p > 1e-5; unequal weights must
     fail."""
     counts = np.unique(
-        drawn(Table([5.0, 1.0, 2.0, 4.0, 3.0]), KERNEL_UNIFORMS), return_counts=True
+        drawn(Table([5.0, 1.0, 2.0, 4.0, 3.0]), kernel_uniforms()), return_counts=True
     )[1]
     assert scipy.stats.chisquare(counts).pvalue > 1e-5
     weights = np.array([0.206, 0.2, 0.2, 0.2, 0.194])
