@@ -29,8 +29,8 @@ from eqsim import (
 
 # those that take longest come first
 LAWS = [
-    *("mechanical-langevin", "soft-langevin", "soft-flow", "soft-logarithmic"),
-    *("mechanical-none", "soft-none", "stiff-none", "annealed-none"),
+    *("soft-langevin", "soft-logarithmic", "soft-flow", "soft-none"),
+    *("mechanical-none", "annealed-none", "stiff-none"),
 ]
 
 

@@ -596,7 +596,7 @@ def scores(result, exact_force, exact_pinned, known):
     return np.concatenate(found)
 
 
-@chosen("name", RUNS, CHOSEN[:3])
+@chosen("name", RUNS, ["flow sqrt", "langevin sqrt"])
 def test_fresh_start(name):
     """F(X) and pinned(X) from a fresh start at 21 points, 40 scores a run, against the
     renewal equation."""

@@ -134,7 +134,7 @@ def test_engine_on_a_ramp(case):
 def test_a_long_hold_leaves_the_start_steady():
     """Bonds before it live at the speed of the start, and grids are those of that
     speed, not of the mean one of the whole programme."""
-    bonds = bond(BELL, delay=Delay(1.0))
+    bonds = bond(CATCH, delay=Delay(1.0))
     slide, hold = Segment(1.0, distance=1.0, points=2), Segment(0.0, time=1e4, points=2)
     found = transient(bonds, Programme([slide, hold], start="stationary", velocity=1.0))
     steadily = reference(bonds, Drive(1.0)).friction.value

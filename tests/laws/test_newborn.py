@@ -381,11 +381,10 @@ def test_plain_births_and_small_births():
 @pytest.mark.parametrize(
     ("name", "start"),
     [
-        ("newborn-012", "fresh"),
-        pytest.param("newborn-012", "stationary", marks=pytest.mark.verification),
+        ("newborn-018", "fresh"),
         *(
             pytest.param(f"newborn-{number}", start, marks=pytest.mark.verification)
-            for number in ("002", "024", "048", "052")
+            for number in ("002", "012", "024", "048", "052")
             for start in ("fresh", "stationary")
         ),
     ],
