@@ -70,7 +70,7 @@ CLUSTERS = [
 ]
 
 
-@chosen(("contacts", "force", "barrier"), CLUSTERS, CLUSTERS[1:2])
+@chosen(("contacts", "force", "barrier"), CLUSTERS, CLUSTERS[2:3])
 def test_mean_life_of_clusters(contacts, force, barrier):
     """(|z| < 4.5: false alarm 7e-6)"""
     warm = Thermal(0.2, barrier=barrier)
