@@ -26,7 +26,6 @@ from rich.table import Table
 from analysis.benchmarks import tuned
 from analysis.benchmarks.cases import CASES, QUICK, VELOCITY, Case, Sizes
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.follow import follow
 from eqsim.engine.lanes import (
     LANES,
     ROUNDS,
@@ -34,6 +33,7 @@ from eqsim.engine.lanes import (
     Lives,
     carry_lives,
     draw_lives,
+    follow,
     idle_lanes,
 )
 from eqsim.engine.programme import constant_drive

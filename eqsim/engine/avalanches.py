@@ -59,6 +59,9 @@ EVENT = np.dtype(
 class Queue(NamedTuple):
     """Contacts, arrays (contacts,), and a heap of where they break next."""
 
+    laws: Contacts
+    key: Key  # of their random numbers
+    first: int  # number of the first contact
     position: Array  # where a contact breaks, in the order of a heap
     contact: Array  # which one
     threshold: Array  # of each contact
@@ -73,12 +76,12 @@ class Way(NamedTuple):
     stop: Array  # a flag (1,): anything but 0 ends the kernel
 
 
-def queue_of(population: Array) -> Queue:
+def queue_of(laws: Contacts, key: Key, first: int, population: Array) -> Queue:
     """Queue of contacts (`slider.CONTACT`), all pinned, with the slider at 0."""
     position = population["threshold"] - population["stretch"]
     order = np.argsort(position, kind="stable")
     threshold, lives = population["threshold"].copy(), population["lives"].copy()
-    return Queue(position[order], order, threshold, lives)
+    return Queue(laws, key, first, position[order], order, threshold, lives)
 
 
 def events_of(
@@ -140,9 +143,9 @@ def _slip(now: Any, stiffness: float, x: float) -> None:
 
 
 @routine
-def _break(laws: Contacts, key: Key, first: int, queue: Queue, now: Any) -> None:
+def _break(queue: Queue, now: Any) -> None:
     """Break the next contact, and pin it again unless its delay is infinite."""
-    i = queue.contact[0]
+    laws, i = queue.laws, queue.contact[0]
     each = 1.0 / queue.threshold.size
     xi = queue.threshold[i]
     stiffness = kappa(laws.springs, xi)
@@ -157,7 +160,8 @@ def _break(laws: Contacts, key: Key, first: int, queue: Queue, now: Any) -> None
             now.force = 0.0
             now.stiffness = 0.0
         return
-    born, y, _ = draw_birth(laws.newborn, laws, key, first + i, queue.lives[i])
+    number = queue.first + i
+    born, y, _ = draw_birth(laws.newborn, laws, queue.key, number, queue.lives[i])
     queue.threshold[i] = born
     queue.lives[i] += 1
     stiffness_born = kappa(laws.springs, born)
@@ -168,18 +172,10 @@ def _break(laws: Contacts, key: Key, first: int, queue: Queue, now: Any) -> None
 
 
 @kernel
-def load(
-    laws: Contacts,
-    key: Key,
-    first: int,
-    queue: Queue,
-    state: Array,
-    way: Way,
-    events: Array,
-) -> tuple[int, bool]:
-    """Move the stage along its way, and note the avalanches that end (`EVENT`). The
-    first contact is number `first`; `state` (1,) is a `STATE`. Returns the number of
-    avalanches, and False if there are more than `events` has room for."""
+def load(queue: Queue, state: Array, way: Way, events: Array) -> tuple[int, bool]:
+    """Move the stage along its way, and note the avalanches that end (`EVENT`); `state`
+    (1,) is a `STATE`. Returns the number of avalanches, and False if there are more
+    than `events` has room for."""
     now = state[0]
     rows = 0
     sprung = way.stiffness > 0.0
@@ -226,5 +222,5 @@ def load(
             _move(now, next_break)
             now.X_begun = next_break
             now.force_begun = now.force
-        _break(laws, key, first, queue, now)
+        _break(queue, now)
     return rows, True

@@ -8,8 +8,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.follow import follow, note_lives
-from eqsim.engine.lanes import LANES, Lanes, Lives, idle_lanes
+from eqsim.engine.lanes import LANES, Lanes, Lives, follow, idle_lanes, note_lives
 from eqsim.engine.steady import settled
 from eqsim.engine.trajectory import check_run
 from eqsim.errors import InputError
@@ -149,7 +148,7 @@ BREAK = np.dtype([("contact", np.int64), *_LENGTHS])
 
 
 class BreakList(NamedTuple):
-    """A recorder of `engine.follow` that lists the breaks within a distance: an array
+    """A recorder of `engine.lanes` that lists the breaks within a distance: an array
     of BREAK, shape (rows,), and how many there are, shape (1,); those for which there
     is no row are lost."""
 
@@ -158,7 +157,6 @@ class BreakList(NamedTuple):
     number: Array
     stop: Array
     begin: int = 0
-    carries: bool = True
 
 
 @note_lives.register(BreakList)

@@ -30,10 +30,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eqsim.engine.avalanches import put_back
+from eqsim.engine.avalanches import events_of, put_back
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.lanes import delay_after, delay_of_the_first, draw_birth
-from eqsim.engine.slider import CONTACT, find_stationary
+from eqsim.engine.lanes import draw_birth
+from eqsim.engine.slider import CONTACT, delay_of, find_stationary
 from eqsim.errors import InputError
 from eqsim.laws.barrier.base import height, prefactor, rate
 from eqsim.laws.stiffness import kappa
@@ -50,7 +50,6 @@ _FIRST_WIDTH = 0.1  # of a window; later ones follow from how many candidates br
 _MOST_REJECTED = 0.25  # candidates per contact, after which a window is too wide
 _LARGEST_BOUND = 1e300  # of a rate; what breaks even faster breaks at once
 _NO_ONE = -1  # in the place of a contact
-_ROOM = 8192  # bursts per call of a kernel, so many that calls cost nothing
 _FOLLOWED_TOGETHER = 1 << 15  # contacts of replicas in one call, which bounds its time
 MOST_CONTACTS = 20_000  # of a slider that is followed event by event
 _TOLD_AFTER = 0.1  # seconds between calls of `progress`
@@ -104,6 +103,8 @@ BURST = np.dtype(
 class Bonds(NamedTuple):
     """Contacts of a replica, arrays (contacts,), and a heap of what happens next."""
 
+    laws: Contacts
+    key: Key  # of their random numbers
     state: Array  # `slider.CONTACT`, with stretches where the window begins
     bound: Array  # of the rate in the window
     tries: Array  # candidates of a life that have been drawn
@@ -165,12 +166,6 @@ def _course_from(drive: Driving, now: Any) -> Course:
     return Course(abs(speed) * net / damping, abs(speed) * now.stiffness / damping)
 
 
-@routine(inline=True)
-def _displacement(course: Course, t: float) -> float:
-    w = course.relaxation * t
-    return course.velocity * t * (-math.expm1(-w) / w if w > 0.0 else 1.0)
-
-
 @routine
 def _leaves(course: Course, t: float, low: float, high: float) -> tuple[float, int]:
     """Time, up to t, at which the displacement leaves the range from low to high, and 1
@@ -190,15 +185,15 @@ def _leaves(course: Course, t: float, low: float, high: float) -> tuple[float, i
 @routine
 def _advance(drive: Driving, now: Any, course: Course, t: float) -> None:
     """Follow the motion for a time t without an event."""
-    x = _displacement(course, t)
+    w = course.relaxation * t
+    x = course.velocity * t * (-math.expm1(-w) / w if w > 0.0 else 1.0)
     held = _held(now) + 0.5 * now.stiffness * x
     way = drive.speeds[now.segment] * t
     spring = now.spring
     if drive.stall == math.inf:
         now.spring += way - x
-        now.work += (
-            _applied(drive, now) + 0.5 * drive.force_rates[now.segment] * t
-        ) * x
+        applied = _applied(drive, now) + 0.5 * drive.force_rates[now.segment] * t
+        now.work += applied * x
         now.work += drive.stiffness * way * 0.5 * (spring + now.spring)
     else:
         if drive.stiffness > 0.0 and way != 0.0:
@@ -236,10 +231,10 @@ def _look_ahead(bonds: Bonds, now: Any) -> None:
 
 
 @routine
-def _enter(laws: Contacts, bonds: Bonds, now: Any, i: int) -> float:
+def _enter(bonds: Bonds, now: Any, i: int) -> float:
     """Take account of a pinned contact, and bound its rate in the window. Returns when
     the next candidate for its break comes."""
-    contact = bonds.state[i]
+    laws, contact = bonds.laws, bonds.state[i]
     xi = contact.threshold
     _limit(bonds, now, i)
     before = contact.clock
@@ -258,7 +253,7 @@ def _enter(laws: Contacts, bonds: Bonds, now: Any, i: int) -> float:
 
 
 @routine
-def _renew(laws: Contacts, bonds: Bonds, now: Any) -> None:
+def _renew(bonds: Bonds, now: Any) -> None:
     """Begin a window here and now."""
     elapsed, moved = now.waited, now.moved
     each = 1.0 / bonds.bound.size
@@ -274,11 +269,11 @@ def _renew(laws: Contacts, bonds: Bonds, now: Any) -> None:
         if contact.pinned:
             contact.stretch += moved
             contact.clock = max(contact.clock - bonds.bound[i] * elapsed, 0.0)
-            stiffness = kappa(laws.springs, contact.threshold) * each
+            stiffness = kappa(bonds.laws.springs, contact.threshold) * each
             now.pinned += 1
             now.stiffness += stiffness
             now.force += stiffness * contact.stretch
-            bonds.instant[i] = _enter(laws, bonds, now, i)
+            bonds.instant[i] = _enter(bonds, now, i)
         else:
             contact.time_to_pinning = max(contact.time_to_pinning - elapsed, 0.0)
             bonds.instant[i] = contact.time_to_pinning
@@ -289,11 +284,10 @@ def _renew(laws: Contacts, bonds: Bonds, now: Any) -> None:
 
 
 @routine
-def _pin(laws: Contacts, key: Key, bonds: Bonds, now: Any, i: int) -> float:
+def _pin(bonds: Bonds, now: Any, i: int) -> float:
     """Pin a contact. Returns when the first candidate for its break comes."""
-    contact = bonds.state[i]
-    number = bonds.first + i
-    xi, y, clock = draw_birth(laws.newborn, laws, key, number, contact.lives)
+    laws, contact, number = bonds.laws, bonds.state[i], bonds.first + i
+    xi, y, clock = draw_birth(laws.newborn, laws, bonds.key, number, contact.lives)
     if bonds.shared:
         y = now.X + now.moved
     contact.threshold = xi
@@ -308,14 +302,14 @@ def _pin(laws: Contacts, key: Key, bonds: Bonds, now: Any, i: int) -> float:
     now.stiffness += stiffness
     now.force += stiffness * contact.stretch
     now.lost -= 0.5 * stiffness * y * y
-    return _enter(laws, bonds, now, i)
+    return _enter(bonds, now, i)
 
 
 @routine
-def _break(laws: Contacts, key: Key, bonds: Bonds, now: Any, i: int) -> float:
+def _break(bonds: Bonds, now: Any, i: int) -> float:
     """Break a contact. Returns when it is pinned again, or breaks again if it is pinned
     at once."""
-    contact = bonds.state[i]
+    laws, contact = bonds.laws, bonds.state[i]
     stiffness = kappa(laws.springs, contact.threshold) / bonds.bound.size
     x = contact.stretch + now.moved
     now.breaks += 1
@@ -327,25 +321,21 @@ def _break(laws: Contacts, key: Key, bonds: Bonds, now: Any, i: int) -> float:
     now.lost += 0.5 * stiffness * x * x
     now.at_low = _NO_ONE if now.at_low == i else now.at_low
     now.at_high = _NO_ONE if now.at_high == i else now.at_high
-    number = bonds.first + i
-    delay = delay_after(laws, key, number, contact.lives - 1)
-    if contact.began_stationary:
-        delay = delay_of_the_first(laws, key, number)
+    delay = delay_of(laws, bonds.key, bonds.first + i, contact)
     contact.pinned = False
     if delay == 0.0:
-        return _pin(laws, key, bonds, now, i)
+        return _pin(bonds, now, i)
     contact.time_to_pinning = now.waited + delay
     return contact.time_to_pinning
 
 
 @routine
-def _breaks_now(laws: Contacts, key: Key, bonds: Bonds, now: Any, i: int) -> bool:
+def _breaks_now(bonds: Bonds, now: Any, i: int) -> bool:
     """Decide on a candidate for the break of a contact, and draw the next one unless it
     breaks."""
-    contact = bonds.state[i]
+    laws, contact = bonds.laws, bonds.state[i]
     bonds.tries[i] += 1
-    number = bonds.first + i
-    draws = words(key, number, contact.lives, bonds.tries[i])
+    draws = words(bonds.key, bonds.first + i, contact.lives, bonds.tries[i])
     xi = contact.threshold
     x = min(abs(contact.stretch + now.moved), xi)
     bound = bonds.bound[i]
@@ -366,9 +356,7 @@ def _breaks_now(laws: Contacts, key: Key, bonds: Bonds, now: Any, i: int) -> boo
 
 
 @routine
-def _settle(
-    laws: Contacts, drive: Driving, key: Key, bonds: Bonds, now: Any, changed: bool
-) -> None:
+def _settle(drive: Driving, bonds: Bonds, now: Any, changed: bool) -> None:
     """Move a slider that nothing slows down into balance, and break what breaks on the
     way. The window is renewed if contacts have `changed` that are not next."""
     jumps = drive.stall == math.inf or drive.stiffness > 0.0
@@ -393,17 +381,15 @@ def _settle(
         if balanced:
             break
         if i != _NO_ONE:
-            _break(laws, key, bonds, now, i)
+            _break(bonds, now, i)
             changed = True
         _look_ahead(bonds, now)
     if changed or abs(now.moved) > now.reach:
-        _renew(laws, bonds, now)
+        _renew(bonds, now)
 
 
 @routine
-def _burst(
-    laws: Contacts, drive: Driving, key: Key, bonds: Bonds, now: Any, i: int, event: Any
-) -> int:
+def _burst(drive: Driving, bonds: Bonds, now: Any, i: int, event: Any) -> int:
     """Break contact i, if it is one, and what breaks at once because of this. Returns 1
     if there is an event, 0 if nothing breaks."""
     breaks, force, changed = now.breaks, _held(now), False
@@ -411,11 +397,11 @@ def _burst(
     event.X = now.X + now.moved
     event.Y = event.X + now.spring
     if i != _NO_ONE:
-        instant = _break(laws, key, bonds, now, i)
+        instant = _break(bonds, now, i)
         changed = bonds.contact[0] != i
         if not changed:
             put_back(bonds.instant, bonds.contact, instant, 0)
-    _settle(laws, drive, key, bonds, now, changed)
+    _settle(drive, bonds, now, changed)
     event.breaks = now.breaks - breaks
     event.drop = force - _held(now)
     event.distance = now.X + now.moved - event.X
@@ -423,13 +409,13 @@ def _burst(
 
 
 @routine
-def _note(laws: Contacts, drive: Driving, bonds: Bonds, now: Any, row: Any) -> None:
+def _note(drive: Driving, bonds: Bonds, now: Any, row: Any) -> None:
     """Record the slider at an instant, a `slider_runs` record."""
     square = stored = 0.0
     for contact in bonds.state:
         if contact.pinned:
             x = contact.stretch + now.moved
-            stiffness = kappa(laws.springs, contact.threshold)
+            stiffness = kappa(bonds.laws.springs, contact.threshold)
             square += (stiffness * x) ** 2
             stored += 0.5 * stiffness * x * x
     each = 1.0 / bonds.bound.size
@@ -447,7 +433,7 @@ def _note(laws: Contacts, drive: Driving, bonds: Bonds, now: Any, row: Any) -> N
 
 
 @routine
-def _begin(laws: Contacts, key: Key, bonds: Bonds, now: Any) -> None:
+def _begin(bonds: Bonds, now: Any) -> None:
     """Pin the contacts that are not pinned yet, without a delay."""
     now.reach = math.inf
     for i in range(bonds.bound.size):
@@ -455,20 +441,18 @@ def _begin(laws: Contacts, key: Key, bonds: Bonds, now: Any) -> None:
         bonds.tries[i] = 0
         contact = bonds.state[i]
         if not contact.pinned and contact.time_to_pinning <= 0.0:
-            _pin(laws, key, bonds, now, i)
+            _pin(bonds, now, i)
     now.lost = 0.0
     now.begun = True
-    _renew(laws, bonds, now)
+    _renew(bonds, now)
 
 
 @routine
-def _next_event(
-    laws: Contacts, drive: Driving, key: Key, bonds: Bonds, now: Any, event: Any
-) -> int:
+def _next_event(drive: Driving, bonds: Bonds, now: Any, event: Any) -> int:
     """Follow a slider to its next event. Returns 1 if contacts break there, and 2 if
     it is to be recorded."""
     if now.reach == math.inf and now.pinned > 0:
-        _renew(laws, bonds, now)
+        _renew(bonds, now)
     course = _course_from(drive, now)
     last = now.segment + 1 == drive.ends.size
     segment = math.inf if last else drive.ends[now.segment] - now.time
@@ -483,37 +467,31 @@ def _next_event(
         by_motion = now.high <= now.reach if side > 0 else -now.low <= now.reach
         i = now.at_high if side > 0 else now.at_low
         if by_motion and i != _NO_ONE:
-            return _burst(laws, drive, key, bonds, now, i, event)
+            return _burst(drive, bonds, now, i, event)
         if not by_motion and 4.0 * now.rejected < _MOST_REJECTED * bonds.bound.size:
             now.width *= 2.0
-        _renew(laws, bonds, now)
+        _renew(bonds, now)
         return 0
     if recorded <= instant:
         return 2
     if bonds.instant[0] > segment:
         now.segment += 1
-        return _burst(laws, drive, key, bonds, now, _NO_ONE, event)
+        return _burst(drive, bonds, now, _NO_ONE, event)
     i = bonds.contact[0]
     if not bonds.state[i].pinned:
-        put_back(bonds.instant, bonds.contact, _pin(laws, key, bonds, now, i), 0)
-        return _burst(laws, drive, key, bonds, now, _NO_ONE, event)
-    if _breaks_now(laws, key, bonds, now, i):
-        return _burst(laws, drive, key, bonds, now, i, event)
+        put_back(bonds.instant, bonds.contact, _pin(bonds, now, i), 0)
+        return _burst(drive, bonds, now, _NO_ONE, event)
+    if _breaks_now(bonds, now, i):
+        return _burst(drive, bonds, now, i, event)
     if now.rejected > _MOST_REJECTED * bonds.bound.size + 4.0:
         now.width *= 0.5
-        _renew(laws, bonds, now)
+        _renew(bonds, now)
     return 0
 
 
 @kernel
 def follow_replicas(
-    laws: Contacts,
-    drive: Driving,
-    key: Key,
-    bonds: Bonds,
-    sliders: Array,
-    courses: Array,
-    events: Array,
+    drive: Driving, bonds: Bonds, sliders: Array, courses: Array, events: Array
 ) -> tuple[int, bool]:
     """Follow replicas one after the other. `bonds.state` has the shape (replicas,
     contacts), `sliders` (replicas,) holds records of type `SLIDER`, and `courses`
@@ -524,8 +502,9 @@ def follow_replicas(
     for r in range(sliders.size):
         now = sliders[r]
         first = bonds.first + r * contacts
-        _, bound, tries, instant, contact, _, shared = bonds
-        mine = Bonds(bonds.state[r], bound, tries, instant, contact, first, shared)
+        laws, key, _, bound, tries, instant, contact, _, shared = bonds
+        heap = bound, tries, instant, contact
+        mine = Bonds(laws, key, bonds.state[r], *heap, first, shared)
         while not now.done and drive.stop[0] == 0:
             if rows == events.size:
                 return rows, False
@@ -533,16 +512,16 @@ def follow_replicas(
             event.replica = r
             found = 2
             if not now.begun:
-                _begin(laws, key, mine, now)
-                _note(laws, drive, mine, now, courses[r, 0])
+                _begin(mine, now)
+                _note(drive, mine, now, courses[r, 0])
                 now.row = 1
-                found = _burst(laws, drive, key, mine, now, _NO_ONE, event)
+                found = _burst(drive, mine, now, _NO_ONE, event)
             elif now.lifetime == math.inf:
-                found = _next_event(laws, drive, key, mine, now, event)
+                found = _next_event(drive, mine, now, event)
             if found == 1:
                 rows += 1
             elif found == 2:
-                _note(laws, drive, mine, now, courses[r, now.row])
+                _note(drive, mine, now, courses[r, now.row])
                 now.row += 1
                 now.done = now.row == drive.instants.size
     return rows, True
@@ -614,8 +593,10 @@ def follow_events(
                 stretch = state["stretch"] * state["pinned"]
                 force = kappa(laws.springs, state["threshold"]) * stretch
                 begun["spring"] = force.mean(axis=1) / pull.stiffness
-        arrays = np.zeros(count), np.zeros(count, np.int64), np.zeros(count)
-        bonds = Bonds(state, *arrays, np.zeros(count, np.int64), first * count, shared)
+        bound, instant = np.zeros((2, count))
+        tries, contact = np.zeros((2, count), np.int64)
+        heap = bound, tries, instant, contact
+        bonds = Bonds(laws, key, state, *heap, first * count, shared)
         drive = Driving(
             pull.stiffness,
             pull.stall,
@@ -626,13 +607,10 @@ def follow_events(
             instants,
             pool.stop,
         )
-        found, room, done = [], np.empty(_ROOM, BURST), False
-        while not done:
-            followed = laws, drive, key, bonds, begun, courses[first:last], room
-            rows, done = follow_replicas(*followed)
-            found.append(room[:rows].copy())
-            found[-1]["replica"] += first
-        return np.concatenate(found)
+        followed = drive, bonds, begun, courses[first:last]
+        found = events_of(BURST, follow_replicas, *followed)
+        found["replica"] += first
+        return found
 
     together = max(1, _FOLLOWED_TOGETHER // count)
     edges = [*range(0, replicas, together), replicas]

@@ -1,4 +1,12 @@
-"""Draw lives of many contacts side by side, and find where each breaks."""
+"""Follow contacts along a segment at constant velocity, LANES side by side: draw their
+lives, find where each breaks, and hand them to a recorder.
+
+A recorder is a NamedTuple by whose type kernels are compiled: `recorder` adds up forces
+on a grid, `breaks` lists breaks, `randomise` sums plain lives. It has a field `stop`, a
+flag (1,) of which anything but 0 ends the kernel, and bodies of `note_lives`, of
+`admit` unless its contacts begin alike, and of `move_lane` if it keeps something for
+each lane.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -8,7 +16,7 @@ import numpy as np
 from eqsim.engine import langevin
 from eqsim.engine.contacts import Contacts
 from eqsim.laws.aging import Langevin
-from eqsim.laws.aging.base import break_lives
+from eqsim.laws.aging.base import break_lives, life
 from eqsim.laws.aging.base import work as work_of
 from eqsim.laws.barrier.base import thermal, travel
 from eqsim.laws.delay import delay_draw
@@ -16,7 +24,7 @@ from eqsim.laws.newborn import Stretched, newborn_draw
 from eqsim.laws.stiffness import kappa
 from eqsim.laws.threshold import Thresholds, exponential_threshold, threshold_draw
 from eqsim.numerics import streams
-from eqsim.numerics.compiled import by_law, routine
+from eqsim.numerics.compiled import by_law, kernel, routine
 from eqsim.numerics.streams import Key, fine_product, uniform, uniforms
 from eqsim.numerics.tables import Array, look_up_all
 from eqsim.numerics.vector_math import log
@@ -218,7 +226,6 @@ def draw_birth(law: Any, c: Contacts, key: Key, contact: int, number: int) -> Bi
 
 
 @draw_birth.register(Stretched)
-@routine
 def _draw_stretched_birth(
     law: Stretched, c: Contacts, key: Key, contact: int, number: int
 ) -> Birth:
@@ -244,6 +251,21 @@ def delay_of_the_first(c: Contacts, key: Key, contact: int) -> float:
 
 
 # ---- where contacts break ----
+
+
+@by_law
+def carry_life(
+    law: Any, c: Contacts, xi: float, k: float, y: float, clock: float
+) -> float:
+    """Travel of a life from birth to breaking, by the law of births."""
+    return life(c.aging, c, xi, clock)
+
+
+@carry_life.register(Stretched)
+def _travel(
+    law: Stretched, c: Contacts, xi: float, k: float, y: float, clock: float
+) -> float:
+    return travel(c, xi, k, y, clock)
 
 
 @by_law
@@ -287,3 +309,70 @@ def life_work(law: Any, c: Contacts, lives: Lives, r: int, i: int) -> float:
 @life_work.register(Langevin)
 def _path_work(law: Langevin, c: Contacts, lives: Lives, r: int, i: int) -> float:
     return lives.work[r, i]
+
+
+# ---- recorders ----
+
+
+@by_law
+def admit(recorder: Any, c: Contacts, lanes: Lanes, lane: int, contact: int) -> bool:
+    """Put a contact into an idle lane; False if it has no birth before its end. Fills
+    its number, how often lives were drawn for it, and the position of its next birth:
+    by default `recorder.begin` and 0."""
+    lanes.contact[lane] = contact
+    lanes.age[lane] = recorder.begin
+    lanes.position[lane] = 0.0
+    return True
+
+
+@by_law
+def note_lives(
+    recorder: Any, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
+) -> bool:
+    """Record the lives of round r of the `active` lanes, and move these contacts to
+    their next births, at infinity if that is beyond their end. Lanes from `active` to
+    `padded(active)` are idle, and may be overwritten. Returns whether any contact has
+    come to its end."""
+    raise TypeError("no recorder")
+
+
+@by_law
+def move_lane(recorder: Any, source: int, target: int) -> None:
+    """Move what a recorder keeps for a lane to another lane."""
+
+
+@kernel
+def follow(
+    c: Contacts, recorder: Any, first: int, last: int, lanes: Lanes, lives: Lives
+) -> None:
+    """Follow contacts first <= i < last to their ends. `lanes` are idle, and `lives`
+    empty. Contacts begin together, so that they all write in one stretch of a grid, and
+    new ones fill the lanes only when half of them have come to their ends."""
+    contact, age, position = lanes.contact, lanes.age, lanes.position
+    active = np.int64(0)  # typed: a literal 0 would be compiled for itself
+    upcoming = np.int64(first)
+    while True:
+        if 2 * active <= LANES:
+            while active < LANES and upcoming < last:
+                if admit(recorder, c, lanes, active, upcoming):
+                    active += 1
+                upcoming += 1
+        if active == 0 or recorder.stop[0] != 0:
+            return
+        count = padded(active)
+        draw_lives(c.newborn, c, lanes, lives, count)
+        carry_lives(c.newborn, c, lives, count)
+        ended = False
+        for r in range(ROUNDS):
+            if note_lives(recorder, c, lanes, lives, r, active):
+                ended = True
+        for i in range(active):
+            age[i] += 1
+        for i in range(active - 1 if ended else -1, -1, -1):
+            if position[i] == np.inf:
+                active -= 1
+                contact[i] = contact[active]
+                age[i] = age[active]
+                position[i] = position[active]
+                position[active] = np.inf
+                move_lane(recorder, active, i)

@@ -296,13 +296,6 @@ def hazard_of_step(h: float, rate: float, between: float, last: float) -> float:
     return h * (rate + 4.0 * between + last) / 6.0
 
 
-@routine(inline=True)
-def whole_work(c: Pinned, x: float, work: float) -> float:
-    """Work done over k in a life that ended at `x`: `work`, that of all steps, where
-    the stiffness varies."""
-    return work if c.springs.slope > 0.0 else 0.5 * c.springs.constant * x * x
-
-
 @routine
 def meeting(c: Pinned, path: Path, h: float, end: float) -> tuple[Any, Any, Any]:
     """Draw when in a step the threshold has met the stretch (Michael, Schucany and
@@ -530,7 +523,8 @@ def begin_paths(
         done = w.number[i]
         if done >= 0:
             paths.travel[done] = w.x[i]
-            paths.work[done] = whole_work(laws, w.x[i], w.work[i])
+            work = 0.5 * laws.springs.constant * w.x[i] * w.x[i]
+            paths.work[done] = w.work[i] if laws.springs.slope > 0.0 else work
         if begun < paths.threshold.size:
             w.number[i] = begun
             w.contact[i] = paths.contact[begun]

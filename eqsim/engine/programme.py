@@ -4,22 +4,29 @@ in holds and reversals."""
 import math
 from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from eqsim.engine import recorder, scatter
 from eqsim.engine.blocks import MOST_SENT, Progress, Threads, Totals, simulated
 from eqsim.engine.contacts import Contacts, contacts
-from eqsim.engine.follow import follow
-from eqsim.engine.lanes import idle_lanes
+from eqsim.engine.lanes import follow, idle_lanes
 from eqsim.engine.langevin import STEP_ERROR, step_error
 from eqsim.engine.readings import Forces, shown_by
-from eqsim.engine.recorder import Extent, Moments, Recorder, Run, Scales
+from eqsim.engine.recorder import (
+    Extent,
+    Moments,
+    Recorder,
+    Run,
+    Scales,
+    Snapshot,
+    recorded_alone,
+)
 from eqsim.engine.records import ProgrammeTrajectory
 from eqsim.engine.sample import typical_lives
 from eqsim.engine.scatter import Scatter
-from eqsim.engine.segments import Snapshot, begin_stationary, waits_at_rest
+from eqsim.engine.segments import begin_stationary, follow_alone, waits_at_rest
 from eqsim.engine.stationary import Fresh, Stationary, stationary
 from eqsim.errors import InputError, require_number, under
 from eqsim.laws.aging.langevin import MOST_ALPHA
@@ -130,20 +137,19 @@ class Steps(NamedTuple):
         # At least once: a call without contacts compiles the kernels.
         for begin in range(first, max(last, first + 1), together):
             end = min(begin + together, last)
-            start = self._population(begin, end - begin) if handed_on else self.start
-            for step in self.steps:
-                c = step.contacts
-                record = Recorder.of(c, step.run, step.scales, start, total, step.row)
-                follow(c, record, begin, end, *idle_lanes(c, self.key))
+            start: Any = self.start
+            if handed_on:
+                start = Snapshot.fresh(begin, end - begin)
+            if self.before is not None:
+                begin_stationary(self.before, self.start, self.key, start)
+            for c, run, scales, _, row in self.steps:
+                record = Recorder.of(c, run, scales, start, total, row)
+                if recorded_alone(c, run):
+                    follow_alone(record, self.key, begin, end)
+                else:
+                    follow(c, record, begin, end, *idle_lanes(c, self.key))
                 if total.stop[0]:
                     return
-
-    def _population(self, first: int, contacts: int) -> Snapshot:
-        """Make contacts that are handed on from one segment to another."""
-        population = Snapshot.fresh(first, contacts)
-        if self.before is not None:
-            begin_stationary(self.before, self.start, self.key, population)
-        return population
 
     def moments(self, deposits: Array, contacts: int) -> Moments:
         parts = []

@@ -15,8 +15,16 @@ from typing import NamedTuple
 import numpy as np
 
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.follow import follow, note_lives
-from eqsim.engine.lanes import LANES, ROUNDS, Lanes, Lives, idle_lanes, life_work
+from eqsim.engine.lanes import (
+    LANES,
+    ROUNDS,
+    Lanes,
+    Lives,
+    follow,
+    idle_lanes,
+    life_work,
+    note_lives,
+)
 from eqsim.engine.proposal import RANDOMISATIONS, Proposal, births_vary
 from eqsim.engine.sample import Sample, Source, lives, square_of
 from eqsim.laws.delay import Waits
@@ -27,7 +35,6 @@ from eqsim.numerics.streams import STEADY, Key, generator
 from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool, current_stop
-from eqsim.numerics.vector_math import third
 
 _LIVES_AT_A_TIME = 2**15
 _BEGUN = 8  # Sobol sequences that begin at a time, at least
@@ -98,7 +105,7 @@ def _plainly(c: Contacts, key: Key, index: int, size: int, stop: Array) -> Array
 
 
 class PlainSums(NamedTuple):
-    """A recorder of `engine.follow` that adds up plainly drawn lives: those of the
+    """A recorder of `engine.lanes` that adds up plainly drawn lives: those of the
     LANES contacts from `first` on, from the age `begin` up to `end`, ROUNDS lives each
     time. Sums and largest values are those of each lane, arrays (LANES,): a single sum
     would have to wait for every addition. They are work over k, travel, square of the
@@ -115,7 +122,6 @@ class PlainSums(NamedTuple):
     size: Array
     most_work: Array
     most_travel: Array
-    carries: bool = True
 
     @classmethod
     def empty(cls, first: int, begin: int, end: int, stop: Array) -> "PlainSums":
@@ -135,7 +141,7 @@ def _note_lives(
         y, k = lives.birth[r, i], lives.stiffness[r, i]
         work[i] += w
         travel[i] += s
-        square[i] += k * k * s * (y * y + s * (y + third(s)))
+        square[i] += square_of(k, s, y)
         birth[i] += y
         size[i] += abs(w)
         most_work[i] = max(most_work[i], abs(w))

@@ -57,22 +57,12 @@ def _falls(
 
 
 class Forces(NamedTuple):
-    """Force along a grid, of which segments are summarised.
+    """Force along a grid, of which segments are summarised, arrays (points,)."""
 
-    Attributes
-    ----------
-    force, stderr : ndarray, shape (points,)
-        <F>/(N k) and its standard error (length).
-    parts : ndarray, shape (parts, points), or None
-        The force of equal, independent parts of the contacts, if it is known.
-    missed : ndarray, shape (points,), or None
-        What the parts have in common of the error.
-    """
-
-    force: Array
-    stderr: Array
-    parts: Array | None = None
-    missed: Array | None = None
+    force: Array  # <F>/(N k) (length)
+    stderr: Array  # its standard error
+    parts: Array | None = None  # (parts, points), of equal, independent parts, if known
+    missed: Array | None = None  # what these have in common of the error
 
     def within(self, here: Array) -> "Forces":
         """The force at some instants."""

@@ -23,7 +23,6 @@ from eqsim.engine.stationary import extremes
 from eqsim.errors import InputError
 from eqsim.laws.newborn import Stretched
 from eqsim.numerics.compiled import routine
-from eqsim.numerics.rows import add_rows, take_rows
 from eqsim.numerics.tables import Array, search
 
 BATCHES = 64  # independent groups of contacts, whose scatter tells errors of averages
@@ -152,9 +151,8 @@ class Scales(NamedTuple):
         force = strong * x
 
         def power(bounds: list[float], terms: int) -> list[float]:
-            return (
-                2.0 ** np.floor(_SUM_BITS - np.log2(terms) - np.log2(bounds))
-            ).tolist()
+            powers = np.floor(_SUM_BITS - np.log2(terms) - np.log2(bounds))
+            return (2.0**powers).tolist()
 
         ramp, square = strong * reach, (strong * reach) ** 2
         bounds = [1.0, ramp, square, strong, strong**2, strong**2 * reach]
@@ -197,12 +195,11 @@ class Averaging(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Scratch for the fields of `Deposit` that lives side by side add at the points
-    `begins` and subtract at `ends`, arrays of integers."""
+    """Scratch for the fields of `Deposit` but `count` that lives side by side add at
+    the points `begins` and subtract at `ends`, arrays of integers."""
 
     begins: Array
     ends: Array
-    ones: Array
     force: Array
     square: Array
     slope: Array
@@ -212,13 +209,38 @@ class Columns(NamedTuple):
     @classmethod
     def empty(cls, contacts: int = LANES) -> "Columns":
         """Scratch for so many contacts."""
-        return cls(*np.ones((8, contacts), np.int64))
+        return cls(*np.zeros((7, contacts), np.int64))
+
+
+class Snapshot(NamedTuple):
+    """Contacts between two segments, arrays (contacts,). Times are displacements at the
+    pace of the segment before. All but `wait` and `lives` is of pinned contacts; where
+    thresholds fluctuate, `threshold` is the current one."""
+
+    pinned: Array
+    wait: Array  # time until a detached contact is pinned
+    threshold: Array  # at birth
+    stretch: Array  # in the direction X
+    clock: Array  # rest of the exponential clock
+    age: Array  # time since birth
+    still: Array  # travel left until a contact of a stationary start breaks
+    delay: Array  # between its break and its next birth
+    lives: Array  # number of lives drawn, a multiple of ROUNDS
+    life: Array  # number of the life, of a fluctuating threshold
+    draw: Array  # number of its next random draw
+    first: int  # number of the first contact
+
+    @classmethod
+    def fresh(cls, first: int, contacts: int) -> "Snapshot":
+        """All contacts about to be pinned for the first time."""
+        real, whole = np.zeros((7, contacts)), np.zeros((3, contacts), np.int64)
+        return cls._make((np.zeros(contacts, np.bool_), *real, *whole, first))
 
 
 class Recorder(NamedTuple):
-    """Recorder of `engine.follow` that adds up forces and averages along a segment: of
-    lives of all lanes together, or one by one. A kernel compiles one of the two."""
+    """Recorder of `engine.lanes` that adds up forces and averages along a segment."""
 
+    laws: Contacts
     run: Run
     start: Any  # `Fresh`, `Stationary` or `Snapshot`: how contacts come in
     scales: Deposit  # powers of 2 that turn deposits into integers
@@ -228,7 +250,6 @@ class Recorder(NamedTuple):
     lives: Array  # (1,), so far
     stop: Array  # (1,), anything but 0 ends the kernel
     joined: bool  # a life begins where another ends, and is as stiff
-    carries: bool  # travels are found for all lanes before lives are recorded
     averaging: Averaging
     columns: Columns
     narrow: bool  # as in `Scales`
@@ -239,8 +260,8 @@ class Recorder(NamedTuple):
     ) -> "Recorder":
         """Record contacts that come in from `start` in the sums of a `blocks.Totals`.
         Deposits are those from `row` on."""
-        alone = recorded_alone(c, run)
-        return (OneByOne if alone else Together)(
+        return Recorder(
+            c,
             run,
             start,
             scales.deposits,
@@ -249,40 +270,21 @@ class Recorder(NamedTuple):
             total.windows,
             total.lives,
             total.stop,
-            joined=not alone and c.springs.slope == 0.0 and c.delay.mean == 0.0,
-            carries=run.moves != 0 and not (alone and _follows_paths(c, run)),
+            joined=c.springs.slope == 0.0 and c.delay.mean == 0.0,
             averaging=Averaging.empty(),
             columns=Columns.empty(),
             narrow=scales.narrow,
         )
 
 
-class Together(Recorder):
-    """A recorder of all lanes at once."""
-
-    __slots__ = ()
-
-
-class OneByOne(Recorder):
-    """A recorder of lives one by one (`recorded_alone`)."""
-
-    __slots__ = ()
-
-
 def recorded_alone(c: Contacts, run: Run) -> bool:
-    """True if lives along a segment are recorded one by one. These are lives of few
-    contacts, of contacts born stretched or whose stiffness varies, those in a hold, and
-    paths that end with the segment."""
-    varies = c.aging.stiffens and c.springs.slope > 0.0
+    """True if lives along a segment are recorded one by one, not side by side: of few
+    contacts, of contacts born stretched or whose stiffness varies, in a hold, and where
+    a path is recorded step by step or ends with the segment."""
     few = run.batch_by_life or run.moves == 0
-    return few or varies or isinstance(c.newborn, Stretched) or _follows_paths(c, run)
-
-
-def _follows_paths(c: Contacts, run: Run) -> bool:
-    """True if lives are paths that are recorded step by step, or end with the
-    segment."""
-    on_the_way = c.springs.slope > 0.0 or run.batch_by_life or not run.last
-    return c.aging.fluctuates and on_the_way
+    varies = c.aging.stiffens and c.springs.slope > 0.0
+    on_the_way = c.aging.fluctuates and not run.last
+    return few or varies or on_the_way or isinstance(c.newborn, Stretched)
 
 
 class Moments(NamedTuple):
@@ -451,11 +453,10 @@ def find_points(run: Run, x: Array, points: Array, count: int) -> None:
 def leave_ramps(
     recorder: Recorder, born: Array, broke: Array, stiffness: Array, uniform: bool
 ) -> None:
-    """Record lives side by side, a multiple of four, pinned at 0 <= `born` <= X <
-    `broke`. Of equally stiff contacts (`uniform`) count and force stand for other
-    fields."""
+    """Record lives side by side, pinned at 0 <= `born` <= X < `broke`. Of equally stiff
+    contacts (`uniform`) count and force stand for other fields."""
     scales, narrow, columns = recorder.scales, recorder.narrow, recorder.columns
-    begins, ends, ones, force, square, slope, slope2, ramp2 = columns
+    begins, ends, force, square, slope, slope2, ramp2 = columns
     count = born.size
     find_points(recorder.run, born, begins, count)
     find_points(recorder.run, broke, ends, count)
@@ -484,10 +485,27 @@ def leave_ramps(
     for i in range(count):
         kappa = stiffness[i]
         ramp2[i] = fixed_narrow(kappa * (kappa * born[i]), -scales.ramp2, narrow)
-    numbers = ones, force, square, slope, slope2, ramp2
-    for i in range(0, count, 4):
-        add_rows(recorder.deposits, begins, numbers, i)
-        take_rows(recorder.deposits, ends, numbers, i)
+    for i in range(count):
+        begin = recorder.deposits[np.uint64(begins[i])]
+        end = recorder.deposits[np.uint64(ends[i])]
+        added = Deposit(1, force[i], square[i], slope[i], slope2[i], ramp2[i])
+        _change(begin, added, 1)
+        _change(end, added, -1)
+
+
+@routine(inline=True)
+def _change(here: Any, added: Deposit, sign: int) -> None:
+    """Add (sign 1) or subtract (sign -1) a deposit. All fields are read before any is
+    written, so that the compiler changes them four at a time: a life at T = 0 takes a
+    quarter less time."""
+    count, force, square = here.count, here.force, here.square
+    slope, slope2, ramp2 = here.slope, here.slope2, here.ramp2
+    here.count = count + sign * added.count
+    here.force = force + sign * added.force
+    here.square = square + sign * added.square
+    here.slope = slope + sign * added.slope
+    here.slope2 = slope2 + sign * added.slope2
+    here.ramp2 = ramp2 + sign * added.ramp2
 
 
 @routine(inline=True)

@@ -2,7 +2,7 @@
 
 A contact begins in the state that the start or the segment before gave it, with the
 rest of its exponential clock. Lives that begin in the segment are drawn by
-`engine.follow`. If another segment follows, the state at the end is handed on in a
+`engine.lanes`. If another segment follows, the state at the end is handed on in a
 `Snapshot`. Stretches count in the direction of motion. In a hold they are constant,
 and time is measured as displacement at the pace of another segment. Thresholds that
 fluctuate are followed step by step, up to the end of the segment. Positions are
@@ -17,16 +17,26 @@ import numpy as np
 
 from eqsim.engine import langevin
 from eqsim.engine.contacts import Contacts
-from eqsim.engine.follow import admit, move_lane, note_lives
-from eqsim.engine.lanes import ROUNDS, Lanes, Lives, delay_of_the_first, padded
+from eqsim.engine.lanes import (
+    ROUNDS,
+    Lanes,
+    Lives,
+    admit,
+    carry_life,
+    delay_after,
+    delay_of_the_first,
+    draw_birth,
+    move_lane,
+    note_lives,
+    padded,
+)
 from eqsim.engine.langevin import STEP, Path, Pinned
 from eqsim.engine.recorder import (
     BATCHES,
-    OneByOne,
     Ramp,
     Recorder,
     Run,
-    Together,
+    Snapshot,
     average,
     edge_after,
     fixed,
@@ -57,32 +67,6 @@ _RELAXED = 100.0  # relaxations at rest, after which the mean hazard is constant
 _MOST_CYCLES = 32000  # tried for a snapshot; all fail for one contact in e^32
 
 
-class Snapshot(NamedTuple):
-    """Contacts between two segments, arrays (contacts,). Times are displacements at the
-    pace of the segment before. All but `wait` and `lives` is of pinned contacts; where
-    thresholds fluctuate, `threshold` is the current one."""
-
-    pinned: Array
-    wait: Array  # time until a detached contact is pinned
-    threshold: Array  # at birth
-    stiffness: Array  # at birth
-    stretch: Array  # in the direction X
-    clock: Array  # rest of the exponential clock
-    age: Array  # time since birth
-    still: Array  # travel left until a contact of a stationary start breaks
-    delay: Array  # between its break and its next birth
-    lives: Array  # number of lives drawn, a multiple of ROUNDS
-    life: Array  # number of the life, of a fluctuating threshold
-    draw: Array  # number of its next random draw
-    first: int  # number of the first contact
-
-    @classmethod
-    def fresh(cls, first: int, contacts: int) -> "Snapshot":
-        """All contacts about to be pinned for the first time."""
-        real, whole = np.zeros((8, contacts)), np.zeros((3, contacts), np.int64)
-        return cls._make((np.zeros(contacts, np.bool_), *real, *whole, first))
-
-
 class Span(NamedTuple):
     """Part of a life within a segment."""
 
@@ -101,7 +85,7 @@ def _admit(
     recorder: Recorder, c: Contacts, lanes: Lanes, lane: int, contact: int
 ) -> bool:
     run, averaging = recorder.run, recorder.averaging
-    x, age = enter(recorder.start, c, recorder, lanes.key, contact)
+    x, age = enter(recorder.start, recorder, lanes.key, contact)
     if x > run.length:
         return False
     lanes.contact[lane] = contact
@@ -128,29 +112,43 @@ def _move_lane(recorder: Recorder, source: int, target: int) -> None:
 
 
 @by_law
-def enter(
-    start: Any, c: Contacts, recorder: Recorder, key: Key, contact: int
-) -> tuple[float, int]:
+def enter(start: Any, recorder: Recorder, key: Key, contact: int) -> tuple[float, int]:
     """Record the life or delay that a contact begins the segment in, by the type of the
     start. Returns the position of its next birth, infinity if that is in a later
     segment, and how often lives were drawn for it."""
     return 0.0, 0
 
 
+@enter.register(Snapshot)
+def _enter_between(
+    p: Snapshot, recorder: Recorder, key: Key, contact: int
+) -> tuple[float, int]:
+    run, i = recorder.run, contact - p.first
+    lives, reborn = p.lives[i] // ROUNDS, p.wait[i] * run.ratio
+    if p.pinned[i]:
+        p.delay[i] *= run.ratio
+        broke = go_on(recorder.laws.aging, recorder, key, i)
+        if broke == math.inf:
+            return math.inf, lives
+        p.pinned[i] = False
+        reborn = broke + p.delay[i]
+    p.wait[i] = reborn - run.length
+    return (reborn if reborn <= run.length else math.inf), lives
+
+
 @enter.register(Stationary)
 def _enter_stationary(
-    start: Stationary, c: Contacts, recorder: Recorder, key: Key, contact: int
+    start: Stationary, recorder: Recorder, key: Key, contact: int
 ) -> tuple[float, int]:
-    return found_at_start(c.aging, c, start, recorder, key, contact), 1
+    return found_at_start(recorder.laws.aging, recorder, key, contact), 1
 
 
 @by_law
-def found_at_start(
-    law: Any, c: Contacts, start: Stationary, recorder: Recorder, key: Key, contact: int
-) -> float:
+def found_at_start(law: Any, recorder: Recorder, key: Key, contact: int) -> float:
     """Record the life or delay that a snapshot of the stationary state finds, by the
     law of aging. Returns the position of the next birth."""
-    batch, seen = contact % BATCHES, snapshot(c.newborn, c, start, key, contact)
+    c, batch = recorder.laws, contact % BATCHES
+    seen = snapshot(c.newborn, c, recorder.start, key, contact)
     if not seen.pinned:
         average(recorder, batch, Ramp(0.0, 0.0, 0.0, 0.0), seen.wait)
         return seen.wait
@@ -158,25 +156,25 @@ def found_at_start(
     broke = seen.length - seen.age
     reborn = broke + delay_of_the_first(c, key, contact)
     span = Span(stiffness, seen.stretch, 0.0, -seen.age, seen.length)
-    left = leave_span(c, recorder, batch, span)
+    left = leave_span(recorder, batch, span)
     ramp = Ramp(left, -seen.age - seen.stretch, -seen.age, broke)
     average(recorder, batch, ramp, reborn)
     return reborn
 
 
 @found_at_start.register(Langevin)
-def _path_at_start(
-    law: Any, c: Contacts, start: Stationary, recorder: Recorder, key: Key, contact: int
-) -> float:
+def _path_at_start(law: Any, recorder: Recorder, key: Key, contact: int) -> float:
     """Draw cycles of life and delay until one is under way at X = 0. Each begins at a
     uniform distance before X = 0, within the longest cycle, so that a cycle is accepted
     in proportion to its length (derived). An exponential delay is treated as a fixed
     one of the same mean, since the rest of it is exponential again."""
-    batch, delay = contact % BATCHES, c.delay.mean
+    c, batch = recorder.laws, contact % BATCHES
+    delay = c.delay.mean
+    longest = recorder.start.longest + delay
     born, broke, reborn = 0.0, 0.0, 0.0
     for attempt in range(_MOST_CYCLES):
         rank, tick = uniforms(key, contact, 0, 2 * attempt + 1)
-        age = (start.longest + delay) * uniforms(key, contact, 0, 2 * attempt + 2)[0]
+        age = longest * uniforms(key, contact, 0, 2 * attempt + 2)[0]
         xi, number = threshold_draw(c.thresholds, rank), 2**32 - 1 - attempt
         path = Path(key, contact, number, np.int64(0), xi, 0.0, -math.log(tick))
         ends, _ = leave_path(langevin.pinned(c, 1.0), recorder, batch, path, -age)
@@ -190,30 +188,13 @@ def _path_at_start(
     return reborn
 
 
-@enter.register(Snapshot)
-def _enter_between(
-    start: Snapshot, c: Contacts, recorder: Recorder, key: Key, contact: int
-) -> tuple[float, int]:
-    run, i = recorder.run, contact - start.first
-    lives, reborn = start.lives[i] // ROUNDS, start.wait[i] * run.ratio
-    if start.pinned[i]:
-        start.delay[i] *= run.ratio
-        broke = go_on(c.aging, c, recorder, key, start, i)
-        if broke == math.inf:
-            return math.inf, lives
-        start.pinned[i] = False
-        reborn = broke + start.delay[i]
-    start.wait[i] = reborn - run.length
-    return (reborn if reborn <= run.length else math.inf), lives
-
-
 @by_law
-def go_on(
-    law: Any, c: Contacts, recorder: Recorder, key: Key, p: Snapshot, i: int
-) -> float:
-    """Follow a pinned contact through the segment, by the law of aging. Returns the
-    position where it breaks, or infinity, and then stores its state at the end."""
-    run, stiffness = recorder.run, p.stiffness[i]
+def go_on(law: Any, recorder: Recorder, key: Key, i: int) -> float:
+    """Follow pinned contact i of a snapshot through the segment, by the law of aging.
+    Returns the position where it breaks, or infinity, and then stores its state at the
+    end."""
+    c, run, p = recorder.laws, recorder.run, recorder.start
+    stiffness = kappa(c.springs, p.threshold[i])
     y, age = run.sign * p.stretch[i], p.age[i] * run.ratio
     contact = Held(p.threshold[i], stiffness, y, age)
     if run.goes_on:
@@ -222,7 +203,7 @@ def go_on(
             left = max(p.clock[i] - spent(law, c, contact, run.moves, run.length), 0.0)
     else:
         broke, left = spend(law, c, contact, run.moves, run.length, p.clock[i])
-    leave_span(c, recorder, 0, Span(stiffness, y, age, 0.0, broke))
+    leave_span(recorder, 0, Span(stiffness, y, age, 0.0, broke))
     if broke <= run.length:
         return broke
     p.stretch[i] = run.sign * (y + run.moves * run.length)
@@ -232,24 +213,46 @@ def go_on(
 
 
 @go_on.register(Langevin)
-def _path_goes_on(
-    law: Langevin, c: Contacts, recorder: Recorder, key: Key, p: Snapshot, i: int
+def _path_goes_on(law: Langevin, recorder: Recorder, key: Key, i: int) -> float:
+    p, y = recorder.start, recorder.run.sign * recorder.start.stretch[i]
+    contact, life, draw = p.first + i, p.life[i], p.draw[i]
+    path = Path(key, contact, life, draw, p.threshold[i], y, p.clock[i])
+    return leave_path_to_end(recorder, 0, path, 0.0)
+
+
+@routine
+def leave_path_to_end(
+    recorder: Recorder, batch: int, path: Path, begins: float
 ) -> float:
-    run, contact, y = recorder.run, p.first + i, recorder.run.sign * p.stretch[i]
-    path = Path(key, contact, p.life[i], p.draw[i], p.threshold[i], y, p.clock[i])
-    broke, path = leave_path(
-        langevin.pinned(c, float(run.moves)), recorder, 0, path, 0.0
-    )
+    """`leave_path`, and store the path where it does not break in the segment. Returns
+    where it breaks."""
+    laws = langevin.pinned(recorder.laws, float(recorder.run.moves))
+    broke, path = leave_path(laws, recorder, batch, path, begins)
     if broke == math.inf:
-        keep_path(p, run, path)
+        keep_path(recorder.start, recorder.run, path)
     return broke
+
+
+@by_law
+def keep_path(start: Any, run: Run, path: Path) -> None:
+    """Store a path at the end of a segment, if the start is a `Snapshot`."""
+
+
+@keep_path.register(Snapshot)
+def _keep_path(p: Snapshot, run: Run, path: Path) -> None:
+    i = path.contact - p.first
+    p.threshold[i] = path.xi
+    p.stretch[i] = run.sign * path.x
+    p.clock[i] = path.left
+    p.life[i] = path.life
+    p.draw[i] = path.draw
 
 
 # ---- recording lives ----
 
 
-@routine(inline=True)
-def note_together(
+@note_lives.register(Recorder)
+def _note_lives(
     recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
 ) -> bool:
     """Record the lives of all lanes at once. A contact's lives come in order of
@@ -276,23 +279,15 @@ def note_together(
     crossing = 0
     for i in range(active):
         crossing += reborn[i] > edge[i]
-    ended = crossing > 0 and cross_edges(recorder, c, lanes, lives, r, active)
+    ended = crossing > 0 and cross_edges(recorder, lanes, lives, r, active)
     for i in range(active):
         position[i] = reborn[i]
     return ended
 
 
 @routine(inline=True)
-def drawn_life(lanes: Lanes, lives: Lives, r: int, i: int) -> Path:
-    """The life of round r in lane i, as it was drawn."""
-    contact, number = lanes.contact[i], ROUNDS * lanes.age[i] + r
-    xi, y, clock = lives.threshold[r, i], lives.birth[r, i], lives.clock[r, i]
-    return Path(lanes.key, contact, number, np.int64(0), xi, y, clock)
-
-
-@routine(inline=True)
 def cross_edges(
-    recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
+    recorder: Recorder, lanes: Lanes, lives: Lives, r: int, active: int
 ) -> bool:
     """Add the sums of contacts whose lives cross the edge of a window to it, and these
     lives, too. Returns whether any contact has reached the end of the segment."""
@@ -308,7 +303,8 @@ def cross_edges(
             window = recorder.windows[batch, 0 if edge[i] < run.length else 1]
             elapsed = position[i] - averaging.since[i]
             # Always pinned without delay: the same number, not a rounded sum.
-            pinned = elapsed if c.delay.mean == 0.0 else averaging.pinned[i] - x
+            delayed = recorder.laws.delay.mean > 0.0
+            pinned = averaging.pinned[i] - x if delayed else elapsed
             work = averaging.work[i] - 0.5 * stiffness * x * x
             window.area += fixed(work, scales.area)
             window.pinned += fixed(pinned, scales.pinned)
@@ -321,8 +317,10 @@ def cross_edges(
             average(recorder, batch, ramp, reborn[i])
         recorder.lives[0] += number + 1 - averaging.lives[i]
         if reborn[i] > run.length:
-            life, delay = drawn_life(lanes, lives, r, i), lives.delay[r, i]
-            hand_on(recorder.start, c, run, life, position[i], broke[i], delay)
+            xi, y, clock = lives.threshold[r, i], lives.birth[r, i], lives.clock[r, i]
+            contact, delay = lanes.contact[i], lives.delay[r, i]
+            life = Path(lanes.key, contact, number, np.int64(0), xi, y, clock)
+            hand_on(recorder.start, recorder, life, position[i], broke[i], delay)
             reborn[i] = math.inf
             ended = True
         edge[i] = edge_after(run, reborn[i])
@@ -333,34 +331,30 @@ def cross_edges(
     return ended
 
 
-@routine
-def note_alone(
-    recorder: Recorder, c: Contacts, lanes: Lanes, lives: Lives, r: int, active: int
-) -> bool:
-    """Record the lives of the lanes one by one."""
-    run, position, ended = recorder.run, lanes.position, False
-    for i in range(active):
-        born = position[i]
-        if born > run.length:
-            continue
-        life, delay = drawn_life(lanes, lives, r, i), lives.delay[r, i]
-        travel = lives.travel[r, i]
-        stiffness, broke = leave_life(c.aging, c, recorder, life, born, travel)
-        reborn = broke + delay
-        if run.averages and reborn > 0.5 * run.length:
-            ramp = Ramp(stiffness, born - life.x, born, broke)
-            average(recorder, batch_of(run, life), ramp, reborn)
-        recorder.lives[0] += 1
-        if reborn > run.length:
-            hand_on(recorder.start, c, run, life, born, broke, delay)
-            reborn = math.inf
-            ended = True
-        position[i] = reborn
-    return ended
-
-
-note_lives.register(Together)(note_together)
-note_lives.register(OneByOne)(note_alone)
+@kernel
+def follow_alone(recorder: Recorder, key: Key, first: int, last: int) -> None:
+    """Follow contacts first <= i < last to the end of the segment, one after the
+    other, and record life by life."""
+    run, c = recorder.run, recorder.laws
+    for contact in range(first, last):
+        born, drawn = enter(recorder.start, recorder, key, contact)
+        number = ROUNDS * drawn
+        while born <= run.length:
+            if recorder.stop[0] != 0:
+                return
+            xi, y, clock = draw_birth(c.newborn, c, key, contact, number)
+            life = Path(key, contact, number, np.int64(0), xi, y, clock)
+            delay = delay_after(c, key, contact, number)
+            stiffness, broke = leave_life(c.aging, recorder, life, born)
+            reborn = broke + delay
+            if run.averages and reborn > 0.5 * run.length:
+                ramp = Ramp(stiffness, born - y, born, broke)
+                average(recorder, batch_of(run, life), ramp, reborn)
+            recorder.lives[0] += 1
+            if reborn > run.length:
+                hand_on(recorder.start, recorder, life, born, broke, delay)
+            born = reborn
+            number += 1
 
 
 @routine(inline=True)
@@ -371,52 +365,35 @@ def batch_of(run: Run, life: Path) -> Any:
 
 @by_law
 def leave_life(
-    law: Any, c: Contacts, recorder: Recorder, life: Path, born: float, travel: float
+    law: Any, recorder: Recorder, life: Path, born: float
 ) -> tuple[float, float]:
-    """Record a life that begins in the segment, by the law of aging. It ends after
-    `travel`, except for paths and in a hold, where its end is found here. Returns the
+    """Record a life that begins in the segment, by the law of aging. Returns the
     stiffness for `average`, 0 if its work is recorded already, and where the life
     ends."""
-    run, stiffness = recorder.run, kappa(c.springs, life.xi)
+    run, c = recorder.run, recorder.laws
+    stiffness = kappa(c.springs, life.xi)
     if run.moves == 0:
         contact, longest = Held(life.xi, stiffness, life.x, 0.0), run.length - born
-        travel = time_in_hold(recorder.start, c, contact, longest, life.left)
+        travel = spend(law, c, contact, 0, longest, life.left)[0]
+    else:
+        travel = carry_life(c.newborn, c, life.xi, stiffness, life.x, life.left)
     span = Span(stiffness, life.x, 0.0, born, travel)
-    return leave_span(c, recorder, batch_of(run, life), span), born + travel
+    return leave_span(recorder, batch_of(run, life), span), born + travel
 
 
 @leave_life.register(Langevin)
 def _leave_drawn_path(
-    law: Any, c: Contacts, recorder: Recorder, life: Path, born: float, travel: float
+    law: Any, recorder: Recorder, life: Path, born: float
 ) -> tuple[float, float]:
-    run, laws = recorder.run, langevin.pinned(c, float(recorder.run.moves))
-    broke, path = leave_path(laws, recorder, batch_of(run, life), life, born)
-    if broke == math.inf:
-        keep_path(recorder.start, run, path)
-    return c.springs.constant, broke
-
-
-@by_law
-def time_in_hold(
-    start: Any, c: Contacts, contact: Held, longest: float, clock: float
-) -> float:
-    """Time for which a contact stays pinned in a hold, infinity if it outlasts the
-    hold. By the type of the start: only programmes, with a `Snapshot`, have holds."""
-    return math.inf
-
-
-@time_in_hold.register(Snapshot)
-def _time_in_hold(
-    start: Snapshot, c: Contacts, contact: Held, longest: float, clock: float
-) -> float:
-    return spend(c.aging, c, contact, 0, longest, clock)[0]
+    broke = leave_path_to_end(recorder, batch_of(recorder.run, life), life, born)
+    return recorder.laws.springs.constant, broke
 
 
 @routine
-def leave_span(c: Contacts, recorder: Recorder, batch: int, span: Span) -> float:
+def leave_span(recorder: Recorder, batch: int, span: Span) -> float:
     """Record the force of a contact that is pinned for a span of a segment. Returns the
     stiffness for `average`, 0 if its work is recorded already."""
-    run, begins, stiffness = recorder.run, span.begins, span.stiffness
+    c, run, begins, stiffness = recorder.laws, recorder.run, span.begins, span.stiffness
     ends = begins + span.travel
     if not stiffness_varies(c.aging, c.springs):
         origin = begins - span.stretch if run.moves != 0 else -span.stretch
@@ -522,13 +499,7 @@ def leave_stiffening_path(
 
 @by_law
 def hand_on(
-    start: Any,
-    c: Contacts,
-    run: Run,
-    life: Path,
-    born: float,
-    broke: float,
-    delay: float,
+    start: Any, recorder: Recorder, life: Path, born: float, broke: float, delay: float
 ) -> None:
     """Store the state of a contact after its last birth in a segment for the next one,
     if the start is a `Snapshot`."""
@@ -536,60 +507,36 @@ def hand_on(
 
 @hand_on.register(Snapshot)
 def _hand_on(
-    start: Snapshot,
-    c: Contacts,
-    run: Run,
-    life: Path,
-    born: float,
-    broke: float,
-    delay: float,
+    p: Snapshot, recorder: Recorder, life: Path, born: float, broke: float, delay: float
 ) -> None:
+    run = recorder.run
     if run.last:
         return
-    i = life.contact - start.first
-    start.lives[i] = ROUNDS * (life.life // ROUNDS + 1)
-    start.delay[i] = delay
-    start.pinned[i] = broke > run.length
-    start.wait[i] = broke + delay - run.length
+    i = life.contact - p.first
+    p.lives[i] = ROUNDS * (life.life // ROUNDS + 1)
+    p.delay[i] = delay
+    p.pinned[i] = broke > run.length
+    p.wait[i] = broke + delay - run.length
     if broke > run.length:
-        keep_life(c.aging, c, run, start, life, born)
+        keep_life(recorder.laws.aging, recorder, life, born)
 
 
 @by_law
-def keep_life(
-    law: Any, c: Contacts, run: Run, p: Snapshot, life: Path, born: float
-) -> None:
+def keep_life(law: Any, recorder: Recorder, life: Path, born: float) -> None:
     """Store a pinned contact at the end of a segment, by the law of aging."""
+    c, run, p = recorder.laws, recorder.run, recorder.start
     i, age = life.contact - p.first, run.length - born
     stiffness = kappa(c.springs, life.xi)
     contact = Held(life.xi, stiffness, life.x, 0.0)
     p.threshold[i] = life.xi
-    p.stiffness[i] = stiffness
     p.stretch[i] = run.sign * (life.x + run.moves * age)
     p.clock[i] = max(life.left - spent(law, c, contact, run.moves, age), 0.0)
     p.age[i] = age
 
 
 @keep_life.register(Langevin)
-def _keep_no_life(
-    law: Langevin, c: Contacts, run: Run, p: Snapshot, life: Path, born: float
-) -> None:
+def _keep_no_life(law: Langevin, recorder: Recorder, life: Path, born: float) -> None:
     pass  # `keep_path` has stored it
-
-
-@by_law
-def keep_path(start: Any, run: Run, path: Path) -> None:
-    """Store a path at the end of a segment, by the type of the start."""
-
-
-@keep_path.register(Snapshot)
-def _keep_path(start: Snapshot, run: Run, path: Path) -> None:
-    i = path.contact - start.first
-    start.threshold[i] = path.xi
-    start.stretch[i] = run.sign * path.x
-    start.clock[i] = path.left
-    start.life[i] = path.life
-    start.draw[i] = path.draw
 
 
 # ---- stationary starts ----
@@ -611,7 +558,6 @@ def begin_stationary(
             born = Held(seen.threshold, stiffness, seen.stretch, 0.0)
             passed = spent(c.aging, c, born, 1, seen.age)
             p.threshold[i] = seen.threshold
-            p.stiffness[i] = stiffness
             p.stretch[i] = seen.stretch + seen.age
             p.clock[i] = max(seen.clock - passed, 0.0)
             p.age[i] = seen.age

@@ -35,7 +35,8 @@ import numpy as np
 
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import delay_after, delay_of_the_first, draw_birth
-from eqsim.engine.segments import Snapshot, begin_stationary
+from eqsim.engine.recorder import Snapshot
+from eqsim.engine.segments import begin_stationary
 from eqsim.engine.stationary import stationary
 from eqsim.laws.aging import Unaged
 from eqsim.laws.aging.base import Held, growth, spend, stiffness_varies
@@ -197,7 +198,7 @@ def _follow_contact(
         sums.scatter += force * force
         sums.lost += 0.5 * force * x * piece.direction
         sums.breaks += 1.0
-        contact.time_to_pinning = _delay(laws, key, number, contact)
+        contact.time_to_pinning = delay_of(laws, key, number, contact)
         contact.pinned = False
         left = max(left - broke, 0.0)
         sums.impulse += force * left
@@ -207,7 +208,7 @@ def _follow_contact(
 
 
 @routine
-def _delay(laws: Contacts, key: Key, number: int, contact: Any) -> float:
+def delay_of(laws: Contacts, key: Key, number: int, contact: Any) -> float:
     """Delay after the life of contact `number` that has just ended."""
     if contact.began_stationary:
         return delay_of_the_first(laws, key, number)

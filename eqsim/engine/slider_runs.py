@@ -78,9 +78,8 @@ def _in_steps(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
     states = [slider.state]
     lives = float(slider.count)
     row = 1
-    for index, (end, speed) in enumerate(
-        zip(slider.pull.ends, slider.pull.speeds, strict=True)
-    ):
+    legs = zip(slider.pull.ends, slider.pull.speeds, strict=True)
+    for index, (end, speed) in enumerate(legs):
         slider.segment = index
         while row < instants.size and instants[row] <= end * (1.0 + 1e-12):
             until = min(float(instants[row]), end)
@@ -124,7 +123,7 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledR
         moved = np.interp(instants, [0.0, *pull.ends], np.cumsum([0.0, *loaded]))
         stages = start.Y + moved
         times, loads = instants, stages
-    queue = avalanches.queue_of(group.population)
+    queue = avalanches.queue_of(*group[:4])
     state = np.zeros(1, avalanches.STATE)
     now = state[0]
     now["Y"] = start.Y
@@ -136,8 +135,7 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledR
     with ThreadPool(1) as thread:
         for stage, row in zip(stages, course, strict=True):
             way = avalanches.Way(pull.stiffness, float(stage), thread.stop)
-            contacts = group.laws, group.key, group.first, queue, state, way
-            load = avalanches.EVENT, avalanches.load, *contacts
+            load = avalanches.EVENT, avalanches.load, queue, state, way
             found.append(thread.submit(avalanches.events_of, *load).result())
             xi = queue.threshold[queue.contact]
             pinned = np.isfinite(queue.position)  # the others never form again
@@ -159,17 +157,24 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledR
     course["stored"] -= course["stored"][0]
     course["missed"] = course["work"] - course["stored"] - course["dissipated"]
     bursts = np.concatenate(found)
-    t, X = np.interp(bursts["Y"], loads, times), bursts["X"]
-    moved = np.stack((X, X + bursts["distance"]), axis=1).ravel()
-    twice = np.repeat(t, 2), moved, np.repeat(bursts["Y"], 2)
-    slips = []
-    if bursts.size and not pull.forced:
-        slips = _slips(pull, slider.least_slip, course, *twice)
+    t = np.interp(bursts["Y"], loads, times)
     let_go = pull.forced and np.isnan(course["X"][-1])
-    columns = {name: bursts[name] for name in ("X", "breaks", "drop", "distance")}
     lives = slider.count + int(now["breaks"])
-    lifetime = float(t[-1]) if let_go else math.inf
-    return _PulledRun(course, slips, lives, {"t": t, **columns}, lifetime)
+    run = _of_bursts(pull, slider.least_slip, course, t, bursts, lives)
+    return run._replace(lifetime=float(t[-1])) if let_go else run
+
+
+def _of_bursts(
+    pull: Pull, least_slip: float, course: Array, t: Array, bursts: Array, lives: int
+) -> _PulledRun:
+    """Run of a slider that jumps when contacts break, at the times `t`."""
+    slips = []
+    if pull.stiffness and t.size:
+        moved = np.stack((bursts["X"], bursts["X"] + bursts["distance"]), axis=1)
+        twice = np.repeat(t, 2), moved.ravel(), np.repeat(bursts["Y"], 2)
+        slips = _slips(pull, least_slip, course, *twice)
+    columns = {name: bursts[name] for name in ("X", "breaks", "drop", "distance")}
+    return _PulledRun(course, slips, lives, {"t": t, **columns})
 
 
 def _by_events(
@@ -184,6 +189,7 @@ def _by_events(
     """Runs of all replicas event by event. Fills `courses` (replicas, points) of
     `COURSE`."""
     pull, law = pull_of(ensemble, programme), ensemble.thresholds
+    least = least_slip(law) / law.scale
     sliders, every = events.follow_events(
         ensemble, programme, seed, instants, courses, threads, told
     )
@@ -192,18 +198,10 @@ def _by_events(
     for replica, course in enumerate(courses):
         course["stored"] -= course["stored"][0]
         bursts = every[ends[replica] : ends[replica + 1]]
-        t, X, Y = (bursts[name] for name in ("t", "X", "Y"))
-        slips = []
-        if pull.stiffness and t.size:
-            moved = np.stack((X, X + bursts["distance"]), axis=1).ravel()
-            least = least_slip(law) / law.scale
-            twice = np.repeat(t, 2), moved, np.repeat(Y, 2)
-            slips = _slips(pull, least, course, *twice)
-        names = "t", "X", "breaks", "drop", "distance"
-        columns = {name: bursts[name] for name in names}
         now = sliders[replica]
         lives, lifetime = ensemble.count + int(now["breaks"]), float(now["lifetime"])
-        runs.append(_PulledRun(course, slips, lives, columns, lifetime))
+        run = _of_bursts(pull, least, course, bursts["t"], bursts, lives)
+        runs.append(run._replace(lifetime=lifetime))
     return runs
 
 

@@ -2,7 +2,7 @@
 O(points), memory O(points).
 
 Contacts do not act on each other, so each is followed on its own from start to end
-(`engine.follow`), by any thread or any worker of an executor.
+(`engine.lanes`), by any thread or any worker of an executor.
 """
 
 import math

@@ -25,21 +25,9 @@ APART = 1e-9  # relative distance of kinks that are the same
 
 
 def density_kinks(pdf: Callable[[Array], Array], x: Array) -> Array:
-    """Find jumps, kinks and infinities of a density.
-
-    Parameters
-    ----------
-    pdf : callable
-        The density at an array of any shape.
-    x : ndarray, shape (points,)
-        Ascending points that are close where the density has features.
-
-    Returns
-    -------
-    ndarray
-        Ascending positions, to about 1e-13 of the distance of points, between the first
-        and the last point.
-    """
+    """Find jumps, kinks and infinities of a density `pdf`, a function of an array of any
+    shape, between ascending points `x`, shape (points,), that are close where it has
+    features. Returns ascending positions, to about 1e-13 of the distance of points."""
 
     def sharpest(left: Array, width: Array) -> tuple[Array, Array]:
         """Left ends of the quarters of windows with the largest second differences, and

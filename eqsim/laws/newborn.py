@@ -26,7 +26,14 @@ from eqsim.laws.law import Law
 from eqsim.laws.threshold import Gamma, ThresholdLaw, Thresholds, threshold_draw
 from eqsim.numerics.compiled import by_law, routine
 from eqsim.numerics.roots import Bracket, narrowed
-from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
+from eqsim.numerics.tables import (
+    NO_TABLE,
+    Array,
+    look_up,
+    octave_edges,
+    octave_table,
+    search,
+)
 from eqsim.numerics.vector_math import log
 
 _NUMBERS = {
@@ -362,17 +369,6 @@ def _normal(law: NormalBirths, u: float) -> float:
 
 
 @by_law
-def born_stretched(law: Any) -> bool:
-    """True if contacts are born stretched."""
-    return False
-
-
-@born_stretched.register(Stretched)
-def _born_stretched(law: Stretched) -> bool:
-    return True
-
-
-@by_law
 def newborn_draw(
     born: Any, thresholds: Thresholds, u: float, v: float
 ) -> tuple[float, float]:
@@ -405,7 +401,7 @@ def threshold_above(
     """A threshold given that it is above `bound`."""
     steps = thresholds.steps
     if steps.size > 0:
-        above = steps.size - np.searchsorted(steps, bound, side="right")
+        above = steps.size - search(steps, bound, True)
         return steps[steps.size - 1 - np.int64(u * above)]
     if ranks.shape[0] > 0:
         e = look_up(ranks, bound)

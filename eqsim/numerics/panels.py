@@ -15,25 +15,14 @@ _HALVES = np.array([0.0, 0.5, 1.0])
 
 
 class Chebyshev(NamedTuple):
-    """The rule of Clenshaw and Curtis on [-1, 1], whose nodes hold both ends.
+    """The rule of Clenshaw and Curtis on [-1, 1], whose nodes hold both ends; n = order
+    + 1."""
 
-    Attributes
-    ----------
-    nodes, weights : ndarray, shape (order + 1,)
-    cumulative : ndarray, shape (order + 1, order + 1)
-        Values at the nodes times it are the integrals from -1 to each node.
-    coefficients : ndarray, shape (order + 1, order + 1)
-        It times values at the nodes is their Chebyshev coefficients.
-    tail : ndarray, shape (order + 1, 2)
-        Values at the nodes times it are the two highest coefficients, which say whether
-        a function is resolved.
-    """
-
-    nodes: Array
-    weights: Array
-    cumulative: Array
-    coefficients: Array
-    tail: Array
+    nodes: Array  # (n,)
+    weights: Array  # (n,)
+    cumulative: Array  # (n, n); values at the nodes times it: integrals from -1 to each
+    coefficients: Array  # (n, n); it times values: their Chebyshev coefficients
+    tail: Array  # (n, 2); values times it: the two highest ones, 0 if resolved
 
 
 # A rule takes 0.25 ms, and a solve of 20 ms asks for twenty, of two orders.
@@ -51,21 +40,12 @@ ClenshawCurtis = clenshaw_curtis(16)
 
 
 class Panels(NamedTuple):
-    """Pieces of one or several intervals, in order.
-
-    Attributes
-    ----------
-    left, right : ndarray, shape (panels,)
-    interval : ndarray of int, shape (panels,)
-        Number of the interval that each is a piece of.
-    values : ndarray, shape (..., panels)
-        Values of `evaluate`.
-    """
+    """Pieces of one or several intervals, in order, arrays (panels,)."""
 
     left: Array
     right: Array
-    interval: Array
-    values: Array
+    interval: Array  # number of the interval that each is a piece of
+    values: Array  # of `evaluate`, (..., panels)
 
 
 def refined(
@@ -78,29 +58,12 @@ def refined(
     pieces_at_0: Array | None = None,
     most: float = math.inf,
 ) -> tuple[Panels, Any]:
-    """Split panels until none is too rough.
-
-    Parameters
-    ----------
-    evaluate : callable
-        From `left`, `right` and `interval` of some panels to their `values`, shape
-        (..., panels).
-    judge : callable
-        From all panels to which of them to split, shape (panels,), and anything else.
-    edges : ndarray
-        Ends of the first panels, the same in each of the `intervals`.
-    pieces : ndarray
-        Where a panel is cut, from 0 to 1; `pieces_at_0` where it begins at 0, of the
-        same shape.
-    most : float
-        The number of panels beyond which nothing is split any more.
-
-    Returns
-    -------
-    Panels
-    object
-        The second value that `judge` returned for them.
-    """
+    """Split panels until none is too rough, or there are more than `most`. `evaluate`
+    goes from `left`, `right` and `interval` of some panels to their `values`, shape
+    (..., panels); `judge` from all panels to which of them to split, shape (panels,),
+    and anything else, which is returned in the end. `edges` are ends of the first
+    panels, the same in each of the `intervals`. A panel is cut at `pieces`, from 0 to
+    1, or at `pieces_at_0`, of the same shape, where it begins at 0."""
     interval, first = (part.ravel() for part in np.indices((intervals, edges.size - 1)))
     at = edges[first], edges[first + 1], interval
     p = Panels(*at, evaluate(*at))
@@ -109,15 +72,11 @@ def refined(
         if not split.any() or p.left.size > most:
             return p, verdict
         left, right = p.left[split, None], p.right[split, None]
-        cuts = left + (right - left) * np.where(
-            left == 0, pieces if pieces_at_0 is None else pieces_at_0, pieces
-        )
+        first = pieces if pieces_at_0 is None else pieces_at_0
+        cuts = left + (right - left) * np.where(left == 0, first, pieces)
         cuts[:, -1] = right[:, 0]
-        at = (
-            cuts[:, :-1].ravel(),
-            cuts[:, 1:].ravel(),
-            np.repeat(p.interval[split], pieces.size - 1),
-        )
+        interval = np.repeat(p.interval[split], pieces.size - 1)
+        at = cuts[:, :-1].ravel(), cuts[:, 1:].ravel(), interval
         count = np.where(split, pieces.size - 1, 1)
         merged = [np.repeat(old, count, axis=-1) for old in p]
         for old, new in zip(merged, (*at, evaluate(*at)), strict=True):

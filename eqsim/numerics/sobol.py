@@ -34,17 +34,11 @@ def _directions(dimensions: int) -> Array:
 
 
 class Sobol(NamedTuple):
-    """Sequences of points in the unit cube; the first point is number 0.
+    """Sequences of points in the unit cube, as numbers uint32; the first point is number
+    0."""
 
-    Attributes
-    ----------
-    shift : ndarray of uint32, shape (sequences, dimensions)
-    words : ndarray of uint32, shape (sequences, dimensions, words)
-        One for each bit of the number of a point.
-    """
-
-    shift: Array
-    words: Array
+    shift: Array  # (sequences, dimensions)
+    words: Array  # (sequences, dimensions, words), one for each bit of a point's number
 
     @classmethod
     def of(
@@ -52,20 +46,14 @@ class Sobol(NamedTuple):
     ) -> "Sobol":
         """Make a sequence of `most` points, up to 2^30, from each random generator, in
         up to three dimensions."""
-        size, shape = (
-            dimensions * _SOBOL_BITS,
-            (len(generators), dimensions, _SOBOL_BITS),
-        )
-        drawn = np.array(
-            [
-                rng.integers(2, size=size * (1 + _SOBOL_BITS), dtype=np.uint32)
-                for rng in generators
-            ]
-        )
+        shape = len(generators), dimensions, _SOBOL_BITS
+        size = dimensions * _SOBOL_BITS
+        count = size * (1 + _SOBOL_BITS)
+        each = [rng.integers(2, size=count, dtype=np.uint32) for rng in generators]
+        drawn = np.array(each)
         shifts = drawn[:, :size].reshape(shape)
-        scramble = drawn[:, size:].reshape(*shape, _SOBOL_BITS) * np.tri(
-            _SOBOL_BITS, k=-1
-        ) + np.eye(_SOBOL_BITS)
+        matrices = drawn[:, size:].reshape(*shape, _SOBOL_BITS)
+        scramble = matrices * np.tri(_SOBOL_BITS, k=-1) + np.eye(_SOBOL_BITS)
         needed = _directions(dimensions)[:, :, : (most - 1).bit_length()]
         bits = (scramble @ needed).astype(np.int32) & 1
         words = np.bitwise_or.reduce(bits << _PLACES[:, None], axis=2).astype(np.uint32)

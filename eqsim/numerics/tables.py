@@ -34,10 +34,8 @@ _BIAS = 1023 * CELLS  # of the IEEE exponent, in cells
 def octave_edges(first: int, last: int) -> Array:
     """The arguments at which a table of octaves first .. last-1 (powers of 2) needs the
     function, ascending."""
-    edges = (
-        2.0 ** np.arange(first, last)[:, None] * (1.0 + np.arange(CELLS) / CELLS)
-    ).ravel()
-    return np.append(edges, 2.0**last)
+    octaves = 2.0 ** np.arange(first, last)[:, None]
+    return np.append(octaves * (1.0 + np.arange(CELLS) / CELLS), 2.0**last)
 
 
 def octave_table(first: int, y: Array, slope: Array) -> Array:
@@ -82,9 +80,8 @@ def _cell_of(first: float, per_edge: float, cells: float, s: float) -> tuple[Any
     arguments are those of row 0."""
     bits: Any = np.float64(s).view(np.int64)
     cell = (bits >> _CELL_SHIFT) - np.int64(first)
-    t: Any = (np.int64(bits & _FRACTION | _UNITS).view(np.float64) - 2.0**52) * (
-        1.0 / (_FRACTION + 1)
-    )
+    fraction = np.int64(bits & _FRACTION | _UNITS).view(np.float64) - 2.0**52
+    t: Any = fraction * (1.0 / (_FRACTION + 1))
     if cell < 0:
         t = s * per_edge
     if cell >= np.int64(cells):

@@ -28,20 +28,11 @@ class ThreadPool(Executor):
     """A pool of threads that is left at once when an exception, such as
     KeyboardInterrupt, ends the block that uses it.
 
-    Then `stop` is set, for kernels that look at it, in pools of these threads as well;
-    and what has not begun is cancelled. Threads that go on for longer than a moment all
-    the same, as they compile, are abandoned: they end when they have finished, or with
-    the process. Python waits for those of a `ThreadPoolExecutor`.
-
-    Parameters
-    ----------
-    count : int
-        Number of threads.
-
-    Attributes
-    ----------
-    stop : ndarray, shape (1,)
-        0 as long as results are waited for. Later results are a CancelledError.
+    Then the flag `stop`, shape (1,), is no longer 0, for kernels that look at it, in
+    pools of these `count` threads as well; what has not begun is cancelled, and later
+    results are a CancelledError. Threads that go on for longer than a moment all the
+    same, as they compile, are abandoned: they end when they have finished, or with the
+    process. Python waits for those of a `ThreadPoolExecutor`.
     """
 
     def __init__(self, count: int) -> None:
@@ -106,10 +97,7 @@ class ThreadPool(Executor):
             pool._tell()
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> Literal[False]:
-        if kind is None:
-            self.shutdown()
-        else:
-            self.abandon()
+        self.shutdown() if kind is None else self.abandon()
         return False
 
 

@@ -113,14 +113,6 @@ def exp_less_one(x: float) -> float:
 
 
 @routine(inline=True)
-def third(x: float) -> float:
-    """x/3 of a normal x > 1e-290, rounded as a division is (Markstein's theorem), which
-    takes many times as long."""
-    q = x * (1.0 / 3.0)
-    return fma(fma(-3.0, q, x), 1.0 / 3.0, q)
-
-
-@routine(inline=True)
 def quarter_sine(z: float) -> float:
     """sin(pi z/2), |z| <= 1."""
     w = z * z

@@ -40,7 +40,6 @@ from eqsim.engine.langevin import (
     Paths,
     Walkers,
     pinned,
-    whole_work,
 )
 from eqsim.engine.sample import Source, lives
 from eqsim.engine.stationary import stationary, stretches, whole_lives
@@ -474,8 +473,12 @@ def _one_by_one(c, stream, contact, births, clocks):
     ]
     ends = [follow(c, path, math.inf, STEP) for path in paths]
     assert all(broke for broke, *_ in ends)
+    varies, constant = c.springs.slope > 0.0, c.springs.constant
     return np.array(
-        [(path.x, whole_work(c, path.x, work)) for _, path, _, work in ends]
+        [
+            (path.x, work if varies else 0.5 * constant * path.x**2)
+            for _, path, _, work in ends
+        ]
     ).T
 
 

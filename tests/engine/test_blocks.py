@@ -70,10 +70,11 @@ def test_same_bits_on_processes(expected, processes, workers):
 
 
 def compiled_signatures():
-    """How often this process has compiled or loaded the kernel."""
-    from eqsim.engine.follow import follow
+    """How often this process has compiled or loaded the kernels."""
+    from eqsim.engine.lanes import follow
+    from eqsim.engine.segments import follow_alone
 
-    return len(follow.signatures)
+    return len(follow.signatures) + len(follow_alone.signatures)
 
 
 @pytest.mark.long
@@ -88,7 +89,7 @@ def test_same_bits_on_dask(expected, command):
     with cluster, distributed.Client(cluster) as client:
         workers = (client.get_executor(), 2)
         assert [bits(*case, threads=workers) for case in CASES] == expected
-        # arrays come as the kernel knows them: it is compiled once for each law and
+        # arrays come as the kernels know them: they are compiled once for each law and
         # each start
         assert set(client.run(compiled_signatures).values()) == {4}
         here, there = (

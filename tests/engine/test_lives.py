@@ -26,8 +26,7 @@ from eqsim import (
 )
 from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
-from eqsim.engine.follow import follow
-from eqsim.engine.lanes import LANES, ROUNDS, idle_lanes
+from eqsim.engine.lanes import LANES, ROUNDS, follow, idle_lanes
 from eqsim.engine.langevin import STEP
 from eqsim.engine.programme import constant_drive
 from eqsim.engine.randomise import PlainSums

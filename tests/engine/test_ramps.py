@@ -295,7 +295,8 @@ def test_crossing_an_edge(edge, delay):
     """What was gathered since the last edge goes to the quarter before this one, if it
     is one of the second half; the life that crosses it is divided, and gathering begins
     anew. Without delay a contact is pinned all the time."""
-    c, found = contacts(Ensemble(delay=Delay(delay)), 1.0), empty(Run(DISTANCE, 2))
+    c = contacts(Ensemble(delay=Delay(delay)), 1.0)
+    found = empty(Run(DISTANCE, 2))._replace(laws=c)
     (lanes, lives), averaging, age = idle_lanes(c, key(0, 0)), found.averaging, 3
     crossing = (1.5, edge - 0.4, edge + 0.3, edge + 0.3 + delay)
     stiffness, born, broke, reborn = crossing
@@ -306,7 +307,7 @@ def test_crossing_an_edge(edge, delay):
     averaging.since[0], averaging.lives[0] = born - 2.0, ROUNDS * age - 4
     averaging.pinned[0], averaging.work[0] = 1.5 + x, 3.25 + 0.5 * stiffness * x**2
     ended = edge == DISTANCE
-    assert cross_edges(found, c, lanes, lives, 0, 1) == ended
+    assert cross_edges(found, lanes, lives, 0, 1) == ended
     assert not found.windows[0].view(np.int64).any()
     pinned = 1.5 if delay else 2.0
     for quarter, low in enumerate((5.0, 7.5)):
@@ -336,12 +337,10 @@ def test_forces_that_are_no_ramps(points):
     square, and its work in both quarters (to the 1e-8 of the table of work)."""
     c = contacts(Ensemble(aging=Aging("flow", 0.3, 3.0)), 1.0)
     run, rows = Run(DISTANCE, points), lives(False, True, 2.0)
-    found = empty(run)
+    found = empty(run)._replace(laws=c)
     for stiffness, born, broke, _ in rows:
-        assert (
-            leave_span(c, found, 0, Span(stiffness, 0.0, 0.0, born, broke - born))
-            == 0.0
-        )  # no work is left
+        span = Span(stiffness, 0.0, 0.0, born, broke - born)
+        assert leave_span(found, 0, span) == 0.0  # no work is left
     stiffness = rows[:, 0]
     grown = np.vectorize(lambda x: growth(c.aging, max(x, 0.0)))
     compare(found, False, seen(rows, run, lambda x: stiffness * grown(x) * x))

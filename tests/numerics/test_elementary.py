@@ -189,15 +189,6 @@ def test_uniforms_are_rounded_once():
     assert [draw(*pair) for pair in words] == expected
 
 
-def test_third():
-    """As a division rounds, to the last bit; a product with 1/3 often does not."""
-    x = np.concatenate((UNIT, 10.0 ** (580 * UNIT - 290), np.arange(100.0)))
-    y = np.empty_like(x)
-    loop("third")(x, y)
-    np.testing.assert_array_equal(y, x / 3.0)
-    assert np.any(x * (1.0 / 3.0) != x / 3.0)
-
-
 @pytest.mark.parametrize("count", [1, 4, 7, 8])
 def test_look_up_all(count):
     """The same bits as one at a time, also below and beyond the table."""

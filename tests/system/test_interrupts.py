@@ -17,8 +17,7 @@ from waiting import ALLOWED, once
 from eqsim import Delay, Ensemble, Programme, Segment, Stage, Thermal
 from eqsim.engine import avalanches
 from eqsim.engine.contacts import contacts
-from eqsim.engine.follow import follow
-from eqsim.engine.lanes import LANES, idle_lanes
+from eqsim.engine.lanes import LANES, follow, idle_lanes
 from eqsim.engine.randomise import PlainSums
 from eqsim.engine.slider import Slider
 from eqsim.master import slider
@@ -149,9 +148,9 @@ def test_avalanches_end_when_they_are_told(stop, breaks):
         state = np.zeros(1, avalanches.STATE)
         state["stiffness"] = 1.0
         contacts = pulled.groups[0]
-        queue = avalanches.queue_of(contacts.population)
+        queue = avalanches.queue_of(*contacts[:4])
         way, events = avalanches.Way(0.1, 40.0, stop), np.empty(1, avalanches.EVENT)
-        avalanches.load(contacts.laws, contacts.key, 0, queue, state, way, events)
+        avalanches.load(queue, state, way, events)
     assert (state["breaks"][0] > 0) == breaks
 
 

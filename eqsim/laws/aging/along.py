@@ -4,17 +4,8 @@
 import math
 from typing import Any, NamedTuple
 
-from eqsim.laws.aging.base import (
-    Held,
-    end,
-    growth,
-    kappa_at,
-    life,
-    smooth,
-    spend,
-    spent,
-    whole_hazard,
-)
+from eqsim.laws.aging import base
+from eqsim.laws.aging.base import AgingLaw, Held, end, growth, kappa_at, smooth
 from eqsim.laws.barrier.base import height, prefactor, thermal
 from eqsim.laws.stiffness import Springs
 from eqsim.numerics.compiled import routine
@@ -37,6 +28,13 @@ _RELAXING = 4
 _ROUNDING = 2e-15
 # Share of an interval that a golden section leaves.
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+
+
+class AlongPaths(AgingLaw):
+    """Base of laws whose thresholds grow alike: they have `growth`, `end` and
+    `smooth`."""
+
+    __slots__ = ()
 
 
 class _Path(NamedTuple):
@@ -160,19 +158,12 @@ def _hazard_in(c: _Path, z: float, width: float) -> float:
     return 0.5 * width * total
 
 
-def along_paths(law: type) -> type:
-    """Register lives along paths for a law that has `growth`, `end` and `smooth`."""
-    whole_hazard.register(law)(_whole_hazard)
-    life.register(law)(_life)
-    spend.register(law)(_spend)
-    spent.register(law)(_spent)
-    return law
-
-
+@base.whole_hazard.register(AlongPaths)
 def _whole_hazard(law: Any, c: Any, xi: float) -> tuple[float, float]:
     return path_life(law, c.barrier, c.springs, xi, math.inf)
 
 
+@base.life.register(AlongPaths)
 def _life(law: Any, c: Any, xi: float, clock: float) -> float:
     return path_life(law, c.barrier, c.springs, xi, clock)[0]
 
@@ -247,6 +238,7 @@ def _along(
     return turn + s, before + after
 
 
+@base.spend.register(AlongPaths)
 def _spend(
     law: Any, c: Any, contact: Held, moves: float, length: float, clock: float
 ) -> tuple[float, float]:
@@ -257,5 +249,6 @@ def _spend(
     return math.inf, clock - passed
 
 
+@base.spent.register(AlongPaths)
 def _spent(law: Any, c: Any, contact: Held, moves: float, length: float) -> float:
     return _along(law, c, contact, moves, length, math.inf)[1]

@@ -5,18 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eqsim.laws.aging.along import along_paths
-from eqsim.laws.aging.base import (
-    Drift,
-    change2,
-    end,
-    growth,
-    kappa_at,
-    scale2,
-    smooth,
-    stiffness_varies,
-    work,
-)
+from eqsim.laws.aging import base
+from eqsim.laws.aging.along import AlongPaths
+from eqsim.laws.aging.base import Drift, change2, scale2
 from eqsim.laws.stiffness import Springs, kappa
 from eqsim.numerics.compiled import routine
 from eqsim.numerics.quadrature import gauss_legendre
@@ -24,8 +15,9 @@ from eqsim.numerics.roots import Bracket, newton
 from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
 
 
-@along_paths
-class Flow(NamedTuple("FlowNumbers", [("final2", float), ("alpha", float)]), Drift):
+class Flow(
+    NamedTuple("FlowNumbers", [("final2", float), ("alpha", float)]), Drift, AlongPaths
+):
     """Every threshold moves with the scale of the law. The stiffness of the sqrt law
     follows it."""
 
@@ -63,12 +55,12 @@ def work_table(final2: float) -> Array:
 _NODES, _WEIGHTS = gauss_legendre(10)
 
 
-@growth.register(Flow)
+@base.growth.register(Flow)
 def _growth(law: Flow, x: float) -> float:
     return math.sqrt(1.0 - (law.final2 - 1.0) * math.expm1(-law.alpha * x))
 
 
-@end.register(Flow)
+@base.end.register(Flow)
 @routine
 def flow_end(law: Flow, xi: float) -> float:
     """The stretch that meets a threshold born as `xi`, by Newton's method kept inside
@@ -88,22 +80,22 @@ def flow_end(law: Flow, xi: float) -> float:
     return x
 
 
-@smooth.register(Flow)
+@base.smooth.register(Flow)
 def _smooth(law: Flow, x0: float, x1: float) -> bool:
     return law.alpha * (x1 - x0) <= 1.0 or law.alpha * x0 > 40.0 or law.final2 == 1.0
 
 
-@kappa_at.register(Flow)
+@base.kappa_at.register(Flow)
 def _kappa_at(law: Flow, springs: Springs, born: float, now: float) -> float:
     return kappa(springs, now)
 
 
-@stiffness_varies.register(Flow)
+@base.stiffness_varies.register(Flow)
 def _varies(law: Flow, springs: Springs) -> bool:
     return springs.slope > 0.0
 
 
-@work.register(Flow)
+@base.work.register(Flow)
 def _work(
     law: Flow, table: Array, springs: Springs, stiffness: float, x: float
 ) -> float:

@@ -14,15 +14,13 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError, require_number
-from eqsim.laws.aging.along import along_paths
-from eqsim.laws.aging.base import AgingLaw, end, growth, smooth
-from eqsim.numerics.compiled import routine
+from eqsim.laws.aging.along import AlongPaths
+from eqsim.laws.aging.base import end, growth, smooth
 from eqsim.numerics.tables import Array
 
 
-@along_paths
 class Logarithmic(
-    NamedTuple("LogarithmicNumbers", [("beta", float), ("per_time", float)]), AgingLaw
+    NamedTuple("LogarithmicNumbers", [("beta", float), ("per_time", float)]), AlongPaths
 ):
     """Growth 1 + beta ln(1 + per_time x)."""
 
@@ -56,13 +54,11 @@ class Logarithmic(
 
 
 @growth.register(Logarithmic)
-@routine(inline=True)
 def _growth(law: Logarithmic, x: float) -> float:
     return 1.0 + law.beta * math.log1p(law.per_time * x)
 
 
 @end.register(Logarithmic)
-@routine
 def _end(law: Logarithmic, xi: float) -> float:
     # The growth is concave, so that Newton's method, begun beyond the only root where
     # the excess falls (at the end of `bracket`), descends to it.
@@ -78,7 +74,6 @@ def _end(law: Logarithmic, xi: float) -> float:
 
 
 @smooth.register(Logarithmic)
-@routine(inline=True)
 def _smooth(law: Logarithmic, x0: float, x1: float) -> bool:
     # ln(1 + x/(v t_c)) has an end at x = -v t_c
     return law.per_time * (x1 - x0) <= 2.0 * (1.0 + law.per_time * x0)

@@ -328,9 +328,8 @@ def _integrated(law: Any, xi: float, k: float, x: float, length: float) -> float
         if seen:
             for i in range(_CELL_NODES.size):
                 u = far - (t + 0.5 * width * (1.0 + _CELL_NODES[i])) * way
-                total += (
-                    0.5 * width * _CELL_WEIGHTS[i] * rate(law, xi, k, xi - u * u) * u
-                )
+                weight = 0.5 * width * _CELL_WEIGHTS[i]
+                total += weight * rate(law, xi, k, xi - u * u) * u
         left, index = right, index + 1
         while index % 2 == 0 and level > 0:
             level, index = level - 1, index // 2
@@ -380,12 +379,9 @@ def stretches(
 ) -> None:
     """Fill the first `count` travels of round r with `stretch` of these contacts, born
     unstressed; `lives` is an `engine.lanes.Lives`."""
-    threshold, stiffness = lives.threshold, lives.stiffness
-    clock, travel = lives.clock, lives.travel
     for i in range(count):
-        travel[r, i] = stretch(
-            law, table, threshold[r, i], stiffness[r, i], clock[r, i]
-        )
+        xi, k, clock = lives.threshold[r, i], lives.stiffness[r, i], lives.clock[r, i]
+        lives.travel[r, i] = stretch(law, table, xi, k, clock)
 
 
 def require_whole(name: str, law: Any) -> None:

@@ -23,9 +23,8 @@ from eqsim.numerics.tables import Array
 class _Numbers(NamedTuple):
     b: float
     log_w: float
-    log_slip: float = (
-        0.0  # logarithms of the shares of k_s and k_c in the rate at f = 0
-    )
+    # logarithms of the shares of k_s and k_c in the rate at f = 0
+    log_slip: float = 0.0
     log_catch: float = -math.inf
     slip: float = 1.0  # f_b/f_s and f_b/f_c
     catch: float = 0.0

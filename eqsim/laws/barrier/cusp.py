@@ -39,9 +39,8 @@ class Cusp(Numbers, Barrier):
     def log_hazard(cls, x: Any, xi: Any, a: Any) -> Array:
         fall = a * x * (2.0 * xi - x)  # of E
         with np.errstate(divide="ignore"):  # x = 0
-            return np.asarray(
-                np.log(-np.expm1(-fall)) - np.log(2.0 * a * xi) - a * (xi - x) ** 2
-            )
+            log_share = np.log(-np.expm1(-fall))
+        return np.asarray(log_share - np.log(2.0 * a * xi) - a * (xi - x) ** 2)
 
     @classmethod
     def width(cls, exponent: Any, y: Any, a: Any) -> Array:

@@ -16,27 +16,14 @@ import numpy as np
 from scipy import interpolate
 
 from eqsim.errors import InputError
-from eqsim.laws.barrier.base import (
-    Barrier,
-    back,
-    hazard,
-    mean_rate,
-    onward,
-    rate,
-    stretch,
-)
+from eqsim.laws.barrier import base
+from eqsim.laws.barrier.base import Barrier
 from eqsim.laws.law import Law
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
-from eqsim.laws.threshold import (
-    NO_STEPS,
-    Gamma,
-    Smooth,
-    ThresholdLaw,
-    panels_above,
-)
+from eqsim.laws.threshold import NO_STEPS, Gamma, Smooth, ThresholdLaw, panels_above
 from eqsim.numerics.compiled import routine
 from eqsim.numerics.quadrature import Rule, gauss_legendre, normal_exponent
-from eqsim.numerics.tables import Array
+from eqsim.numerics.tables import Array, search
 
 
 class PooledHazard(NamedTuple):
@@ -193,9 +180,8 @@ def _by_panels(
     layer = np.concatenate((origin + np.minimum(near, far), fixed), axis=1)
     edges = np.sqrt(np.maximum(panels_above(law, y[:, 0], layer) - y, 0.0))
     with np.errstate(invalid="ignore"):  # at y = 0 the first edge is xi = 0
-        unseen = (
-            log_w - barrier.exponent(*contact(y, edges[:, :-1])) <= _UNSEEN_ATTEMPTS
-        )
+        E = barrier.exponent(*contact(y, edges[:, :-1]))
+        unseen = log_w - E <= _UNSEEN_ATTEMPTS
     row, column = np.nonzero((np.diff(edges, axis=1) > 0) & ~unseen)
     half = 0.5 * (edges[row, column + 1] - edges[row, column])[:, None]
     root = edges[row, column, None] + half * (1.0 + rule.nodes)
@@ -255,9 +241,8 @@ def pooled_hazard(
     y = np.unique(np.concatenate(nodes))
     y = y[y >= first]
     if low == 0 and math.isinf(high) and not law.breakpoints.size:  # h is smooth
-        y = np.unique(
-            np.append(y, np.asarray(law.inverse_survival(_NODE_RANKS)) / law.scale)
-        )
+        more = np.asarray(law.inverse_survival(_NODE_RANKS)) / law.scale
+        y = np.unique(np.append(y, more))
         y = y[(y >= first) & (y <= top)]
         h = rate(y)
         y, h = y[h > 1e-300], h[h > 1e-300]
@@ -278,9 +263,8 @@ def _pooled_cells(log_y: Array, rate: Callable[[Array], Array]) -> PooledHazard:
     inner, weights = gauss_legendre(3).between(log_y[:-1], log_y[1:])
     cells = weights * np.exp(inner) * rate(inner.ravel()).reshape(inner.shape)
     y, h = np.exp(log_y), rate(log_y)
-    return _monotone(
-        y, y[0] * h[0] + np.append(0.0, np.cumsum(cells.sum(axis=1))), h, h
-    )
+    G = y[0] * h[0] + np.append(0.0, np.cumsum(cells.sum(axis=1)))
+    return _monotone(y, G, h, h)
 
 
 def _pooled_steps(
@@ -373,35 +357,38 @@ class Pooled(_PooledNumbers, Law):
         return np.asarray(np.exp(self.log_w) * np.interp(xi, self.x, self.G))
 
 
-@stretch.register(Pooled)
+# ---- kernels ----
+
+
+_POINT = 1e-250  # length over stretch in which the rate does not vary
+
+
+@base.stretch.register(Pooled)
 def _pooled_stretch(
     law: Pooled, table: Array, xi: float, stiffness: float, clock: float
 ) -> float:
-    return min(xi, _inverse(law.x, law.G, law.slopes, clock * math.exp(-law.log_w)))
+    return min(xi, _inverse(law, clock * math.exp(-law.log_w)))
 
 
-@hazard.register(Pooled)
+@base.hazard.register(Pooled)
 def _pooled_hazard(
     law: Pooled, table: Array, xi: float, stiffness: float, x: float
 ) -> float:
-    return math.exp(law.log_w) * _hermite(law.x, law.G, law.slopes, x)[0]
+    return math.exp(law.log_w) * _hermite(law, x)[0]
 
 
-@rate.register(Pooled)
+@base.rate.register(Pooled)
 def _pooled_rate(law: Pooled, xi: float, stiffness: float, x: float) -> float:
-    return math.exp(law.log_w) * _hermite(law.x, law.G, law.slopes, x)[1]
+    return math.exp(law.log_w) * _hermite(law, x)[1]
 
 
-@mean_rate.register(Pooled)
+@base.mean_rate.register(Pooled)
 def _pooled_mean_rate(
     law: Pooled, table: Array, xi: float, stiffness: float, x: float, length: float
 ) -> float:
     if length < _POINT * x or length == 0.0:
-        return rate(law, xi, stiffness, x)
-    return math.exp(law.log_w) * (_rise(law.x, law.G, law.slopes, x, length) / length)
-
-
-_POINT = 1e-250  # length over stretch in which the rate does not vary
+        return base.rate(law, xi, stiffness, x)
+    return math.exp(law.log_w) * (_rise(law, x, length) / length)
 
 
 class _Cubic(NamedTuple):
@@ -415,13 +402,13 @@ class _Cubic(NamedTuple):
 
 
 @routine(inline=True)
-def _cell_at(x: Array, G: Array, slopes: Array, low: int) -> _Cubic:
+def _cell_at(law: Pooled, low: int) -> _Cubic:
     """The cell that begins at a node, about its beginning, t = 0; it ends at t = 1."""
-    width, rise = math.log(G[low + 1] / G[low]), math.log(x[low + 1] / x[low])
-    left, right = slopes[low, 0] * width, slopes[low, 1] * width
-    return _Cubic(
-        width, left, 3.0 * rise - 2.0 * left - right, left + right - 2.0 * rise
-    )
+    width = math.log(law.G[low + 1] / law.G[low])
+    rise = math.log(law.x[low + 1] / law.x[low])
+    left, right = law.slopes[low, 0] * width, law.slopes[low, 1] * width
+    curve = 3.0 * rise - 2.0 * left - right
+    return _Cubic(width, left, curve, left + right - 2.0 * rise)
 
 
 @routine(inline=True)
@@ -439,8 +426,10 @@ def _change_in(cell: _Cubic, step: float) -> float:
 
 @routine
 def _step_of_t(cell: _Cubic, change: float, most: float) -> float:
-    """The step of t, at most `most`, in which ln x grows by `change` > 0, to rounding
+    """The step of t, at most `most`, in which ln x grows by `change` >= 0, to rounding
     however short: Newton in a bracket."""
+    if change == 0.0:
+        return 0.0
     below, above = 0.0, most
     step = min(change / cell.slope, most) if cell.slope > 0.0 else 0.5 * most
     for _ in range(60):
@@ -459,25 +448,36 @@ def _step_of_t(cell: _Cubic, change: float, most: float) -> float:
     return step
 
 
+@routine(inline=True)
+def _node_below(law: Pooled, stretch: float) -> int:
+    """The last node at or below a stretch."""
+    return search(law.x, stretch, True) - 1
+
+
+@routine(inline=True)
+def _locate(law: Pooled, low: int, stretch: float) -> tuple[_Cubic, float, float]:
+    """The cell that begins at a node, and t and G at a stretch in it."""
+    cell = _cell_at(law, low)
+    t = _step_of_t(cell, math.log(stretch / law.x[low]), 1.0)
+    return cell, t, law.G[low] * math.exp(t * cell.width)
+
+
 @routine
-def _hermite(x: Array, G: Array, slopes: Array, stretch: float) -> tuple[float, float]:
+def _hermite(law: Pooled, stretch: float) -> tuple[float, float]:
     """G and dG/dx at a stretch: the function of which `_inverse` is the inverse."""
-    last = G.size - 1
+    x, G, last = law.x, law.G, law.G.size - 1
     if last < 0 or stretch <= x[0]:
         return (stretch * G[0] / x[0], G[0] / x[0]) if last >= 0 else (0.0, 0.0)
     if stretch >= x[last]:
         return G[last], 0.0
-    low = np.searchsorted(x, stretch, side="right") - 1
-    cell = _cell_at(x, G, slopes, low)
-    t = _step_of_t(cell, math.log(stretch / x[low]), 1.0)
-    value = G[low] * math.exp(t * cell.width)
+    cell, t, value = _locate(law, _node_below(law, stretch), stretch)
     return value, value * cell.width / max(_cell_about(cell, t).slope, 1e-300) / stretch
 
 
 @routine
-def _rise(x: Array, G: Array, slopes: Array, stretch: float, length: float) -> float:
+def _rise(law: Pooled, stretch: float, length: float) -> float:
     """Growth of G from a stretch on, to rounding however short the length is."""
-    last, end = G.size - 1, stretch + length
+    x, G, last, end = law.x, law.G, law.G.size - 1, stretch + length
     if last < 0 or stretch >= x[last]:
         return 0.0
     if end <= x[0]:
@@ -485,69 +485,49 @@ def _rise(x: Array, G: Array, slopes: Array, stretch: float, length: float) -> f
     total = 0.0
     if stretch < x[0]:
         total, length, stretch = (x[0] - stretch) * (G[0] / x[0]), end - x[0], x[0]
-    low = np.searchsorted(x, stretch, side="right") - 1
+    low = _node_below(law, stretch)
     if end <= x[low + 1]:
-        return total + _rise_in(x, G, slopes, low, stretch, length)
-    total += _rise_in(x, G, slopes, low, stretch, x[low + 1] - stretch)
-    high = np.searchsorted(x, end, side="right") - 1
+        return total + _rise_in(law, low, stretch, length)
+    total += _rise_in(law, low, stretch, x[low + 1] - stretch)
+    high = _node_below(law, end)
     total += G[high] - G[low + 1]
-    return (
-        total + _rise_in(x, G, slopes, high, x[high], end - x[high])
-        if high < last
-        else total
-    )
+    return total + _rise_in(law, high, x[high], end - x[high]) if high < last else total
 
 
 @routine
-def _rise_in(
-    x: Array, G: Array, slopes: Array, low: int, stretch: float, length: float
-) -> float:
+def _rise_in(law: Pooled, low: int, stretch: float, length: float) -> float:
     """`_rise` within a cell."""
-    cell = _cell_at(x, G, slopes, low)
-    t = _step_of_t(cell, math.log(stretch / x[low]), 1.0) if stretch > x[low] else 0.0
-    step = (
-        _step_of_t(
-            _cell_about(cell, t), math.log1p(length / stretch), max(1.0 - t, 0.0)
-        )
-        if length > 0.0
-        else 0.0
-    )
-    return G[low] * math.exp(t * cell.width) * math.expm1(step * cell.width)
+    cell, t, now = _locate(law, low, stretch)
+    rest = max(1.0 - t, 0.0)
+    step = _step_of_t(_cell_about(cell, t), math.log1p(length / stretch), rest)
+    return now * math.expm1(step * cell.width)
 
 
 @routine(inline=True)
-def _inverse(x: Array, G: Array, slopes: Array, target: float) -> float:
+def _inverse(law: Pooled, target: float) -> float:
     """The stretch where G = target; infinite if G never gets there."""
-    last = G.size - 1
-    if target >= G[last]:
+    x, G = law.x, law.G
+    if target >= G[G.size - 1]:
         return math.inf
     if target <= G[0]:
         return x[0] * (target / G[0])
-    low, high = 0, last
-    while high - low > 1:
-        middle = (low + high) >> 1
-        if G[middle] <= target:
-            low = middle
-        else:
-            high = middle
-    cell = _cell_at(x, G, slopes, low)
+    low = search(G, target, True) - 1
+    cell = _cell_at(law, low)
     return x[low] * math.exp(_change_in(cell, math.log(target / G[low]) / cell.width))
 
 
-@onward.register(Pooled)
+@base.onward.register(Pooled)
 def _pooled_onward(
     law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: float
 ) -> float:
-    return min(
-        _travel_ahead(law.x, law.G, law.slopes, y, clock * math.exp(-law.log_w)), xi - y
-    )
+    return min(_travel_ahead(law, y, clock * math.exp(-law.log_w)), xi - y)
 
 
 @routine
-def _travel_ahead(x: Array, G: Array, slopes: Array, y: float, ticks: float) -> float:
+def _travel_ahead(law: Pooled, y: float, ticks: float) -> float:
     """The travel from y in which G grows by `ticks`, to rounding however short;
     infinite if it never does."""
-    last, passed = G.size - 1, 0.0
+    x, G, last, passed = law.x, law.G, law.G.size - 1, 0.0
     if last < 0 or y >= x[last]:
         return math.inf
     if y < x[0]:
@@ -555,41 +535,37 @@ def _travel_ahead(x: Array, G: Array, slopes: Array, y: float, ticks: float) -> 
         if ticks <= ahead:
             return ticks * (x[0] / G[0])
         y, ticks, passed = x[0], ticks - ahead, x[0] - y
-    low = np.searchsorted(x, y, side="right") - 1
-    cell = _cell_at(x, G, slopes, low)
-    t = _step_of_t(cell, math.log(y / x[low]), 1.0) if y > x[low] else 0.0
-    now = G[low] * math.exp(t * cell.width)
+    low = _node_below(law, y)
+    cell, t, now = _locate(law, low, y)
     step = math.log1p(ticks / now) / cell.width
     if step <= 1.0 - t:
         return passed + y * math.expm1(_change_in(_cell_about(cell, t), step))
-    return passed + max(_inverse(x, G, slopes, now + ticks) - y, x[low + 1] - y)
+    return passed + max(_inverse(law, now + ticks) - y, x[low + 1] - y)
 
 
-@back.register(Pooled)
+@base.back.register(Pooled)
 def _pooled_back(
     law: Pooled, c: Any, xi: float, stiffness: float, y: float, clock: float
 ) -> tuple[float, float]:
     ticks = clock * math.exp(-law.log_w)
-    G = _hermite(law.x, law.G, law.slopes, y)[0]
+    G = _hermite(law, y)[0]
     if ticks >= G:
         return y, clock * (1.0 - G / ticks)
-    return min(_behind(law.x, law.G, law.slopes, y, ticks), y), -1.0
+    return min(_behind(law, y, ticks), y), -1.0
 
 
 @routine
-def _behind(x: Array, G: Array, slopes: Array, y: float, ticks: float) -> float:
+def _behind(law: Pooled, y: float, ticks: float) -> float:
     """The travel back from y in which G falls by `ticks`, less than it is there, to
     rounding however short."""
-    last, passed = G.size - 1, 0.0
+    x, last, passed = law.x, law.x.size - 1, 0.0
     if y <= x[0]:
-        return ticks * (x[0] / G[0])
+        return ticks * (x[0] / law.G[0])
     if y >= x[last]:  # no attempt succeeds beyond
         y, passed = x[last], y - x[last]
-    low = np.searchsorted(x, y, side="right") - 1 if y < x[last] else last - 1
-    cell = _cell_at(x, G, slopes, low)
-    t = _step_of_t(cell, math.log(y / x[low]), 1.0) if y > x[low] else 0.0
-    now = G[low] * math.exp(t * cell.width)
+    low = min(_node_below(law, y), last - 1)
+    cell, t, now = _locate(law, low, y)
     step = -math.log1p(-min(ticks / now, 1.0)) / cell.width
     if step <= t:
         return passed - y * math.expm1(_change_in(_cell_about(cell, t), -step))
-    return passed + max(y - _inverse(x, G, slopes, max(now - ticks, 0.0)), y - x[low])
+    return passed + max(y - _inverse(law, max(now - ticks, 0.0)), y - x[low])

@@ -14,15 +14,10 @@ from scipy import special
 
 from eqsim.laws.barrier import base
 from eqsim.laws.barrier.base import Barrier, Numbers
+from eqsim.numerics import tables
 from eqsim.numerics.compiled import routine
 from eqsim.numerics.quadrature import gauss_legendre
-from eqsim.numerics.tables import (
-    Array,
-    look_up,
-    look_up_all,
-    octave_edges,
-    octave_table,
-)
+from eqsim.numerics.tables import Array, look_up
 from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus
 
 
@@ -42,24 +37,9 @@ class Soft(Numbers, Barrier):
         with np.errstate(divide="ignore"):  # x = 0
             return cls.log_rate(x, xi, a) + np.log(special.dawsn(root * x) / root)
 
-    def hazard_over(self, x: Array, way: Array, xi: Array, a: Array) -> Array:
-        root, gap = np.sqrt(a), np.maximum(xi - x, 0.0)
-        z, dz = root * x, root * way
-        less = dz * (2.0 * z - dz)
-        found = special.dawsn(z) - np.exp(-less) * special.dawsn(z - dz)
-        short = less < 1.0
-        t, weights = base.SHORT_WAY.between(0.0 * dz[short], dz[short])
-        found[short] = (np.exp(-t * (2.0 * z[short, None] - t)) * weights).sum(axis=1)
-        spent = np.exp(np.minimum(self.log_w - a * gap * (xi + x), 300.0))
-        return np.asarray(spent * found / root)
-
     @classmethod
     def width(cls, exponent: Any, y: Any, a: Any) -> Array:
         return np.asarray((exponent / a) / (y + np.sqrt(y**2 + exponent / a)))
-
-    @classmethod
-    def layer(cls, x: float, a: float) -> float:
-        return 0.5 / (a * x**2)
 
     def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
         c = (a * xi**2)[:, None]
@@ -92,12 +72,12 @@ def erfi_inverse_table() -> Array:
     """z as a function of s = ln(1 + erfi(z)): linear at small s, sqrt(s) at large s, up
     to s = 2^60. The relative error is below 5e-10."""
     first, last = -30, 60
-    s = octave_edges(first, last)
+    s = tables.octave_edges(first, last)
     target = np.where(s > 40, s, np.log(np.expm1(np.minimum(s, 40))))
     z = np.where(s < 1, s * math.sqrt(math.pi) / 2, np.sqrt(s + 1))
     for _ in range(60):  # Newton for ln erfi, whose derivative is 1/dawsn
         z = np.maximum(z - (log_erfi(z) - target) * special.dawsn(z), z / 4)
-    return octave_table(first, z, special.dawsn(z) / -np.expm1(-s))
+    return tables.octave_table(first, z, special.dawsn(z) / -np.expm1(-s))
 
 
 _LEAST_Z = 2.0**-20  # below it Dawson's function is z, to 1e-12
@@ -108,10 +88,12 @@ _LEAST_Z = 2.0**-20  # below it Dawson's function is z, to 1e-12
 def dawson_table() -> Array:
     """z/dawsn(z) as a function of z: 1 at small z, 2 z^2 at large z, up to 2^40."""
     first, last = -20, 40
-    z = octave_edges(first, last)
+    z = tables.octave_edges(first, last)
     dawson = special.dawsn(z)
     ratio = z / dawson
-    return octave_table(first, ratio, (1.0 - ratio * (1.0 - 2.0 * z * dawson)) / dawson)
+    return tables.octave_table(
+        first, ratio, (1.0 - ratio * (1.0 - 2.0 * z * dawson)) / dawson
+    )
 
 
 # The inverse of (omega/v) H in steps, each of which is a loop of its own where many
@@ -180,7 +162,7 @@ def _stretches(
         rank[i] = _odds(threshold[r, i], root[i], log_w, clock[r, i])
     for i in range(count):
         rank[i] = _rank(threshold[r, i], root[i], log_w, rank[i])
-    look_up_all(table, rank, lives.row, count)
+    tables.look_up_all(table, rank, lives.row, count)
     for i in range(count):
         travel[r, i] = _end(threshold[r, i], per_root[i], rank[i])
 

@@ -54,10 +54,6 @@ class Stiff(Numbers, Barrier):
     def width(cls, exponent: Any, y: Any, a: Any) -> Array:
         return np.asarray(y * np.minimum((exponent / (a * y**2)) ** (2.0 / 3.0), 1e6))
 
-    @classmethod
-    def layer(cls, x: float, a: float) -> float:
-        return float((a * x**2) ** (-2 / 3))
-
     def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
         c = (a * xi**2)[:, None]
         log_odds = c + np.log(1.5 * (a * xi))[:, None] + levels - self.log_w
@@ -135,11 +131,8 @@ def _mean_rate(
     law: Stiff, table: Array, xi: float, k: float, x: float, length: float
 ) -> float:
     near, far = max(xi - x - length, 0.0) / xi, max(xi - x, 0.0) / xi
-    whole, left, before = (
-        law.b * k * xi * xi,
-        near * math.sqrt(near),
-        far * math.sqrt(far),
-    )
+    whole = law.b * k * xi * xi
+    left, before = near * math.sqrt(near), far * math.sqrt(far)
     if left + before == 0.0:
         return 0.0
     per_length = (near * near + near * far + far * far) / (left + before)
