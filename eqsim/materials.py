@@ -11,8 +11,10 @@ r_c^2 rho)).
 import dataclasses
 import json
 import math
+import tomllib
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, cast
 
 from scipy import constants
 
@@ -38,6 +40,8 @@ from eqsim.paper import equation
 
 BOLTZMANN: float = constants.k  # J/K
 ROOM_TEMPERATURE = 4e-21 / BOLTZMANN  # K; kT = 4e-21 J as in the paper, 289.7 K
+# Presets, what `parameters` shows, and the run file.
+_FILE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
 def _decimal(value: float) -> float:
@@ -356,35 +360,7 @@ class LubricantIslands(Material):
         return kT / (self.spacing**2 * math.sqrt(self.spacing * film * self.gamma_c**3))
 
 
-# section VI; the shear strength of steel is that of plasticity, the film has four
-# layers
-STEEL = RoughContacts(
-    name="steel",
-    density=1e4,
-    young_modulus=2e11,
-    shear_strength=1e9,
-    contact_radius=1e-6,
-)
-OCTAMETHYLCYCLOTETRASILOXANE = LubricantIslands(
-    name="octamethylcyclotetrasiloxane",
-    density=956.0,
-    thickness=3.5e-9,
-    shear_strength=2e5,
-    gamma_c=0.5,
-    spacing=1e-6,
-)
-MATERIALS: dict[str, Material] = {
-    material.name: material for material in (STEEL, OCTAMETHYLCYCLOTETRASILOXANE)
-}
-ALIASES = {"omcts": "octamethylcyclotetrasiloxane"}
 KINDS: dict[str, type[Material]] = {"rough": RoughContacts, "islands": LubricantIslands}
-
-
-def preset(name: str) -> Material | None:
-    """The material of `MATERIALS` with this name or alias, in upper or lower case; None
-    if there is none."""
-    lower = name.lower()
-    return MATERIALS.get(ALIASES.get(lower, lower))
 
 
 def from_constants(constants: dict[str, Any], name: str = "material") -> Material:
@@ -462,6 +438,22 @@ def _made(of: Any, given: dict[str, Any]) -> Any:
     return of(**values)
 
 
+MATERIALS: dict[str, Material] = {
+    name: from_constants(constants, name)
+    for name, constants in _FILE["presets"].items()
+}
+ALIASES = {"omcts": "octamethylcyclotetrasiloxane"}
+STEEL = cast(RoughContacts, MATERIALS["steel"])
+OCTAMETHYLCYCLOTETRASILOXANE = cast(LubricantIslands, MATERIALS[ALIASES["omcts"]])
+
+
+def preset(name: str) -> Material | None:
+    """The material of `MATERIALS` with this name or alias, in upper or lower case; None
+    if there is none."""
+    lower = name.lower()
+    return MATERIALS.get(ALIASES.get(lower, lower))
+
+
 def omcts_film(layers: int) -> LubricantIslands:
     """Octamethylcyclotetrasiloxane as in figure A05: h = n_l 8.75 A, sigma_* = 4e6
     exp(-1.5 n_l) Pa.
@@ -492,56 +484,26 @@ class Parameter(NamedTuple):
     meaning: str
 
 
-_UNITS = {
-    "density": "kg/m^3",
-    "young_modulus": "Pa",
-    "contact_radius": "m",
-    "thickness": "m",
-    "spacing": "m",
-    "gamma_c": "",
-}
-
-
 def parameters(
     material: Material, temperature: float = ROOM_TEMPERATURE
 ) -> list[Parameter]:
     """The material's constants and what follows from them at `temperature` (K). Raises
     InputError."""
-    length, a = material.elastic_length, material.spacing_of_contacts
-    found = [
-        Parameter(
-            field.name, getattr(material, field.name), _UNITS[field.name], "given"
-        )
-        for field in dataclasses.fields(material)
-        if field.name in _UNITS
-    ]
-    found += [
-        Parameter("kT", BOLTZMANN * temperature, "J", "temperature"),
-        Parameter("k", material.stiffness, "N/m", "stiffness of a contact"),
-        Parameter("x_*", material.x_star, "m", "threshold scale, k x_* = a^2 sigma_*"),
-        Parameter("omega", material.attempt_frequency, "1/s", "attempt frequency"),
-        Parameter("1/a^2", material.contacts_per_area, "1/m^2", "contacts per area"),
-    ]
-    if length is not None:
-        where = "already between neighbours" if length < a else "beyond it"
-        size = f"elastic correlation length, a^2 E/k = {length / a:.2g} a"
-        doubt = f"{size}: the rigid slider is doubtful {where}"
-        found += [
-            Parameter("a", a, "m", "distance between neighbouring contacts"),
-            Parameter("lambda_c", length, "m", doubt),
-        ]
-    b, v_star = material.b(temperature), material.crossover_velocity(temperature)
-    of_annealed = f"crossover velocity of the annealed ensemble ({equation('nt12')})"
-    only = f"{of_annealed}; quenched contacts have none there"
-    stress = "shear stress = sigma_* friction/x_*"
-    found += [
-        Parameter("b", b, "", f"k x_*^2/(2 kT) ({equation('nt08a')})"),
-        Parameter("v_*", v_star, "m/s", only),
-        Parameter("sigma_*", material.shear_strength, "Pa", stress),
-    ]
-    if material.hardness is not None:
-        use = f"{_origin(material)}; mu = shear stress/H"
-        found.append(Parameter("H", material.hardness, "Pa", use))
+    length, a, found = material.elastic_length, material.spacing_of_contacts, []
+    size = math.nan if length is None else length / a
+    numbers = {"kT": BOLTZMANN * temperature, "a": None if length is None else a}
+    words = {
+        "size": size,
+        "where": "already between neighbours" if size < 1.0 else "beyond it",
+        "hardness": _origin(material),
+        "nt08a": equation("nt08a"),
+        "nt12": equation("nt12"),
+    }
+    for name, (attribute, unit, meaning) in _FILE["parameters"].items():
+        value = numbers.get(name, getattr(material, attribute, None))
+        value = value(temperature) if callable(value) else value
+        if value is not None:
+            found.append(Parameter(name, value, unit, meaning.format(**words)))
     return found
 
 
@@ -550,51 +512,6 @@ def _origin(material: Material) -> str:
     if getattr(material, "indentation_hardness", None):
         return "hardness, given"
     return "hardness of plastic contacts, 3 sqrt(3) sigma_*"
-
-
-_RUN_FILE = """title = {title}
-disorder = "{contacts.disorder}"
-
-[units]
-length = "m"
-time = "s"
-force = "N"
-
-[interface]
-contacts_per_area = {per_area}  # 1/m^2
-{load}
-
-[contacts]
-count = {contacts.count}
-stiffness = {contacts.stiffness}  # N/m
-stiffness_law = "{contacts.stiffness_law}"
-
-[thresholds]
-n = {contacts.thresholds.n}
-x_star = {contacts.thresholds.x_star}  # m
-
-[thermal]
-kT = {contacts.thermal.kT}  # J, {temperature:.4g} K
-attempt_frequency = {contacts.thermal.attempt_frequency}  # 1/s
-"""
-_AGING = """
-[aging]
-rule = "{contacts.aging.rule}"
-rate = {contacts.aging.rate}  # m^2/s
-x_star_final = {contacts.aging.x_star_final}  # m
-"""
-_DELAY = """
-[delay]
-time = {contacts.delay.time}  # s
-"""
-_DRIVE = """
-[drive]
-velocity = {drive.velocity}  # m/s
-distance = {drive.distance}  # m
-
-[sweep]
-"drive.velocity" = {{ log = [1e{low}, 1e{high}, 21] }}  # m/s
-"""
 
 
 def run_file_text(
@@ -642,8 +559,9 @@ def run_file_text(
     if material.hardness is not None:
         load = f"normal_stress = {material.hardness:.4g}  # Pa, {_origin(material)}"
     decade = math.floor(math.log10(drive.velocity))
-    sections = _RUN_FILE + _AGING * bool(material.aging) + _DELAY * bool(material.delay)
-    return (sections + _DRIVE).format(
+    missing = {name for name in ("aging", "delay") if getattr(material, name) is None}
+    sections = (text for name, text in _FILE["run_file"].items() if name not in missing)
+    return "".join(sections).format(
         title=json.dumps(material.name, ensure_ascii=False),
         per_area=f"{material.contacts_per_area:.12g}",
         load=load,

@@ -631,9 +631,10 @@ MISTAKES = [
     M("published: star3a", "master/closed_forms.py", "power = u if printed else u**3", "power = u if printed else u**2",
       "test_asymptotics.py::test_aging_changes_the_law"),
     # materials
-    M("materials: k in N/mm", "materials.py", 'Parameter("k", material.stiffness,',
-      'Parameter("k", 1e-3 * material.stiffness,', "test_materials.py::test_parameters"),
-    M("materials: a unit", "materials.py", 'v_star, "m/s"', 'v_star, "um/s"', "test_materials.py::test_parameters"),
+    M("materials: values in other units", "materials.py", "Parameter(name, value, unit,",
+      "Parameter(name, 1e-3 * value, unit,", "test_materials.py::test_parameters"),
+    M("materials: a unit", "materials.py", "value, unit, meaning.format", 'value, "um", meaning.format',
+      "test_materials.py::test_parameters"),
     M("materials: attempt frequency", "materials.py", "return 1.76 * math.sqrt", "return 1.67 * math.sqrt",
       "test_materials.py::test_printed_numbers"),
     M("materials: rates that cold makes fast", "materials.py", "math.exp(-self._exponent(temperature))",
