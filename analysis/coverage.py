@@ -92,9 +92,7 @@ def problem(case: Case, free: tuple[str, ...] = FREE, **changes: dict) -> Proble
         for v in case.velocities
     ]
     n, ones, names = len(rows), np.ones(len(rows)), ["drive.velocity"]
-    table = Measurements(
-        rows, np.arange(n), ["friction"] * n, ones, ones, names, ones, ""
-    )
+    table = Measurements(rows, ["friction"] * n, ones, ones, names, "")
     fit = problem_of(file, section_of(file), table)
     exact = fit.given(fit.start)
     return replace(fit, value=exact, sigma=NOISE * exact)
@@ -156,9 +154,8 @@ def record() -> Problem:
     81 points, exact."""
     file = check(tomllib.loads(RECORD))
     time = np.linspace(0.0, 5.0, 81)
-    ones, rows, names = np.ones(81), [MeasuredAt((), 1.0, "")], ["friction"] * 81
-    row_of = np.zeros(81, int)
-    table = Measurements(rows, row_of, names, ones, 0.003 * ones, [], ones, "", time)
+    ones, rows, names = np.ones(81), [MeasuredAt()] * 81, ["friction"] * 81
+    table = Measurements(rows, names, ones, 0.003 * ones, [], "", time)
     fit = problem_of(file, section_of(file), table)
     fit = settle_steps(fit, fit.start)
     return replace(fit, value=fit.given(fit.start), correlation=np.full(80, RHO))
@@ -172,11 +169,8 @@ def rate_and_state(law: str) -> Problem:
     """A velocity step of rate-and-state friction, with a trend per displacement: 121
     points, exact."""
     time = np.linspace(0.0, 5.0, 121)
-    ones, rows, row_of = np.ones(121), [MeasuredAt((), 1.0, "")], np.zeros(121, int)
-    error = 3e-4 * ones
-    table = Measurements(
-        rows, row_of, ["friction"] * 121, ones, error, [], ones, "", time
-    )
+    ones, rows, names = np.ones(121), [MeasuredAt()] * 121, ["friction"] * 121
+    table = Measurements(rows, names, ones, 3e-4 * ones, [], "", time)
     fit = rates.problem_of(check(tomllib.loads(RECORD)), table, law, "displacement")
     truth = RATE_AND_STATE | {"trend": 1e-3}
     starts = [p._replace(start=p.variable(truth[p.key])) for p in fit.parameters]

@@ -109,9 +109,9 @@ def by_fit(X: np.ndarray, f: np.ndarray) -> dict[str, float]:
     t = np.interp(
         X, [0.0, 0.5, 0.5 + PATH], np.cumsum([0.0, 0.5, PATH / math.exp(STEP)])
     )
-    ones, row = np.ones(t.size), np.zeros(t.size, int)
-    rows, names = [MeasuredAt((), 1.0, "")], ["friction"] * t.size
-    table = Measurements(rows, row, names, f / f[0], 1e-3 * ones, [], ones, "", t)
+    sigma = np.full(t.size, 1e-3)
+    rows, names = [MeasuredAt()] * t.size, ["friction"] * t.size
+    table = Measurements(rows, names, f / f[0], sigma, [], "", t)
     problem = rates.problem_of(check({"drive": drive}), table, "slip", "none")
     ends = [estimate.minimise(problem, u) for u in estimate.starts(problem, 8, 1)]
     best = min(ends, key=lambda one: one.chi2)

@@ -128,10 +128,6 @@ class Averages(Result):
             without averages that have no error in both.
         **style
             Passed to `Axes.errorbar`: label, color, ...
-
-        Returns
-        -------
-        matplotlib Axes
         """
         marks, values, errors = [], [], []
         for name in self.shown:
@@ -229,21 +225,14 @@ def z_score(
     reference, reference_error : float
         An exact value and the error of its solver.
 
-    Returns
-    -------
-    float or None
-
     Examples
     --------
     >>> print(f"{z_score(Estimate(0.97, 0.01, n=1000), 1.0):.2f}")
     -3.00
     """
-    if estimate.value is None or estimate.stderr is None or math.isinf(reference):
+    if math.isinf(reference):
         return None
-    sigma = math.hypot(estimate.stderr, reference_error)
-    if sigma == 0.0:
-        return None
-    z = (estimate.value - reference) / sigma
-    if estimate.dof is None:
+    z = difference(estimate, Estimate(reference, reference_error, 0))
+    if z is None or estimate.dof is None:
         return z
     return math.copysign(float(-special.ndtri(special.stdtr(estimate.dof, -abs(z)))), z)

@@ -375,10 +375,6 @@ def from_constants(constants: dict[str, Any], name: str = "material") -> Materia
     name : str
         Where the constants have none.
 
-    Returns
-    -------
-    Material
-
     Raises
     ------
     InputError
@@ -523,8 +519,8 @@ def run_file_text(
     stiffness_law: StiffnessLaw = "uniform",
     count: int = 100_000,
 ) -> str:
-    """A run file of `material.ensemble(...)` over 20 x_*, with a sweep of five decades
-    of velocity around its own.
+    """A run file (TOML, SI units) of `material.ensemble(...)` over 20 x_*, with a sweep
+    of five decades of velocity around its own.
 
     It loads to the same numbers, to the last bit.
 
@@ -534,11 +530,6 @@ def run_file_text(
         m/s; default: v_* at room temperature, whatever `temperature` is.
     material, temperature, disorder, stiffness_law, count
         As in `Material.ensemble`.
-
-    Returns
-    -------
-    str
-        TOML, SI units.
 
     Raises
     ------

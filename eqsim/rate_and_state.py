@@ -127,7 +127,7 @@ class RateAndState:
         t = np.asarray(times, float)
         require_programme(programme, t)
         first = programme.velocity or programme.segments[0].velocity
-        ends = np.cumsum([segment.duration for segment in programme.segments])
+        ends = programme.corners[0][1:]
         upto = np.searchsorted(t, ends, "right")
         upto[-1] = t.size
         state, courses, begin, done = np.zeros(2), [], 0.0, 0
@@ -179,7 +179,7 @@ def require_programme(programme: Programme, times: Array) -> None:
             said = "rate-and-state friction is pulled forward, or held"
             given = "a force" if segment.forced else f"velocity {segment.velocity:g}"
             raise InputError(f"programme.{index}: has {given}; {said}")
-    end = sum(segment.duration for segment in programme.segments)
+    end = programme.corners[0][-1]
     if times.size and (times[0] < 0 or np.any(np.diff(times) < 0)):
         raise InputError("times: must ascend from 0 or later")
     if times.size and times[-1] > end * (1.0 + _ROUNDING):

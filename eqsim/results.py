@@ -170,10 +170,6 @@ class Result(Listed):
         **style
             Passed to `Axes.plot`: label, color, ...
 
-        Returns
-        -------
-        matplotlib Axes
-
         Raises
         ------
         TypeError

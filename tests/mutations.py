@@ -799,7 +799,7 @@ MISTAKES = [
       '", ".join(known) for', "known[0] for", "test_sweep.py::test_a_table_names_all_libraries_that_made_it"),
     M("grid: tables by their name", "sweeps/plan.py", 'values["thresholds.file"] = hashlib',
       'values["thresholds.sha"] = hashlib', "test_grid.py::test_a_table_of_thresholds_enters_with_its_values"),
-    M("grid: the value that a sweep replaces counts", "sweeps/store.py", "- plan.swept  #", "- set()  #",
+    M("grid: the value that a sweep replaces counts", "sweeps/store.py", "- swept(plan.file)", "- set()",
       "test_sweep.py::test_what_the_sweep_replaces_may_change"),
     # tables
     M("tables: text without quotes", "io/csv.py", "else _quoted(str(value))", "else str(value)",

@@ -156,7 +156,7 @@ def fit(
 
 def _tell_estimates(out: Path, shown: Shown, result: "fitting.FitResult") -> None:
     """Write the estimates, and, before any profile tells intervals, say them."""
-    report.write_estimates(result, out)
+    report.write(result, out, final=False)
     if result.profiles:
         return
     for one in result.intervals:

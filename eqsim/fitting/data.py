@@ -1,7 +1,6 @@
 """Measurements: tables of steady observables, one row per measurement."""
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,31 +29,29 @@ _KNOWN_COLUMNS = (
 
 class MeasuredAt(NamedTuple):
     """Conditions of a measurement: values of run-file keys, kT over the run file's, its
-    set (measurements with one scale of force), and its line in the file."""
+    set (measurements with one scale of force), its line in the file, and its
+    temperature (kelvin), if there is a column of these."""
 
-    changes: tuple[tuple[str, float], ...]
-    heat: float
-    set: str
+    changes: tuple[tuple[str, float], ...] = ()
+    heat: float = 1.0
+    set: str = ""
     line: int = 0
+    kelvin: float = 1.0
 
 
 class Measurements(NamedTuple):
-    """Measurements, arrays (measurements,): the row each belongs to, its observable,
-    value and standard error.
+    """Measurements: where each was made, its observable, value and standard error.
 
-    `names` are the columns that are keys, `temperatures` belong to the rows, `sha256`
-    is the digest of the file, and a record has the `time` of its points. `said` is what
-    was done to the rows of the file, and `read` those of a record before block means,
-    their time and force.
+    `names` are the columns that are keys, `sha256` is the digest of the file, and a
+    record has the `time` of its points. `said` is what was done to the rows of the
+    file, and `read` those of a record before block means, their time and force.
     """
 
-    rows: list[MeasuredAt]
-    row: Array
+    conditions: list[MeasuredAt]
     observable: list[str]
     value: Array
     sigma: Array
     names: list[str]
-    temperatures: Array
     sha256: str
     time: Array | None = None
     said: tuple[str, ...] = ()
@@ -63,29 +60,19 @@ class Measurements(NamedTuple):
     @property
     def sets(self) -> list[str]:
         """Names of the sets, as they come."""
-        return list(dict.fromkeys(row.set for row in self.rows))
+        return list(dict.fromkeys(one.set for one in self.conditions))
 
 
-class Line(NamedTuple):
-    """A line of a data file: its number, its cells by column, and the beginning of
-    messages about it."""
+class _Line(NamedTuple):
+    """A line of a data file: its cells by column, and the beginning of messages about
+    it."""
 
-    number: int
     cells: dict[str, str]
     where: str
 
     def value(self, name: str) -> float:
         """The finite number in a column. Raises InputError."""
         return csv.number(self.cells[name], self.where + name)
-
-
-def lines(sheet: csv.Sheet, field: str) -> Iterator[Line]:
-    """The lines of a data file without the empty ones that spreadsheets append. Raises
-    InputError."""
-    for number, cells in sheet.rows():
-        if any(cells):
-            named = dict(zip(sheet.columns, cells, strict=True))
-            yield Line(number, named, f"{field}, line {number}: ")
 
 
 def read_table(path: Path, file: RunFile, fit: Fit) -> Measurements:
@@ -97,10 +84,13 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Measurements:
     """
     sheet = csv.read(path, f"fit.data = {path}")
     names, observables = _checked_columns(sheet, file, fit)
-    rows, temperatures = list[MeasuredAt](), list[float]()
-    measured, values = list[tuple[int, str]](), list[tuple[float, float]]()
-    for line in lines(sheet, "fit.data"):
-        where, cells = line.where, line.cells
+    measured, count = list[tuple[MeasuredAt, str, float, float]](), 0
+    for number, texts in sheet.rows():
+        if not any(texts):  # spreadsheets append such lines
+            continue
+        where = f"fit.data, line {number}: "
+        cells = dict(zip(sheet.columns, texts, strict=True))
+        line = _Line(cells, where)
         changes = tuple((name, line.value(name)) for name in names if cells[name])
         kelvin = unit = fit.reference_temperature or 1.0
         if fit.temperature is not None:
@@ -111,26 +101,31 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Measurements:
             raise InputError(
                 f"{where}no observable has a value; leave the line out, or measure one"
             )
+        name_of_set = cells.get("set", "").strip()
+        where_measured = MeasuredAt(changes, kelvin / unit, name_of_set, number, kelvin)
         for name in observables:
             if cells[name]:
-                measured.append((len(rows), name))
-                values.append((line.value(name), _sigma(line, name, fit)))
+                value = line.value(name)
+                sigma = _sigma(line, name, fit)
+                measured.append((where_measured, name, value, sigma))
             elif cells.get(f"{name}_stderr"):
                 raise InputError(f"{where}{name}_stderr has no {name} beside it")
-        name_of_set = cells.get("set", "").strip()
-        rows.append(MeasuredAt(changes, kelvin / unit, name_of_set, line.number))
-        temperatures.append(kelvin)
+        count += 1
     if not measured:
         raise InputError("fit.data: there is no measurement in it")
-    row_of, names_of = (list(column) for column in zip(*measured, strict=True))
+    conditions, observable, values, sigmas = zip(*measured, strict=True)
     for name in observables:
-        if name not in names_of:
+        if name not in observable:
             raise InputError(f'fit.data: column "{name}" is empty; leave it out')
-    value, sigma = np.array(values).T
-    at, kelvins = np.array(row_of), np.array(temperatures)
-    digest, said = sheet.sha256, (f"{len(rows)} rows", sheet.said)
-    known = rows, at, names_of, value, sigma, names, kelvins, digest
-    return Measurements(*known, said=said)
+    return Measurements(
+        conditions=list(conditions),
+        observable=list(observable),
+        value=np.array(values),
+        sigma=np.array(sigmas),
+        names=names,
+        sha256=sheet.sha256,
+        said=(f"{count} rows", sheet.said),
+    )
 
 
 def _checked_columns(
@@ -162,7 +157,7 @@ def _checked_columns(
     return [name for name in header if name in known], observables
 
 
-def _sigma(line: Line, name: str, fit: Fit) -> float:
+def _sigma(line: _Line, name: str, fit: Fit) -> float:
     """The standard error of a measurement. Raises InputError."""
     text, where = line.cells.get(f"{name}_stderr", ""), line.where
     if text:

@@ -12,6 +12,7 @@ import numpy as np
 
 from eqsim.errors import InputError, meant, require_integer, require_number
 from eqsim.fitting.data import MeasuredAt
+from eqsim.fitting.estimate import principal_axes
 from eqsim.fitting.fit import Prepared, prepare
 from eqsim.fitting.model import Problem, velocity_of
 from eqsim.io.runfile import RunFile
@@ -65,9 +66,7 @@ class Design(NamedTuple):
 def expected(jacobian: Array, index: int) -> float:
     """Standard deviation of a parameter by the inverse of J'J; infinite if it moves
     along a null direction."""
-    missing = max(jacobian.shape[1] - jacobian.shape[0], 0)
-    padded = np.vstack((jacobian, np.zeros((missing, jacobian.shape[1]))))
-    _, singular, rows = np.linalg.svd(padded, full_matrices=False)
+    singular, rows = principal_axes(jacobian)
     share = rows[:, index] ** 2
     null = singular <= 1e-12 * singular[0]
     if np.any(share[null] > 1e-12):
@@ -140,17 +139,17 @@ def _candidates(
     """Velocities and temperatures of candidates, arrays (candidates,); data without a
     column of temperatures have one."""
     table = prepared.table
-    known = [v for v in map(velocity_of, table.rows) if v is not None]
+    known = [v for v in map(velocity_of, table.conditions) if v is not None]
     if velocities is None:
         if not known:
             raise InputError("--velocity: is required without a column drive.velocity")
         velocities = Limits(min(known) / _BEYOND, max(known) * _BEYOND)
     if temperatures is not None and prepared.fit.temperature is None:
         raise InputError("--temperature: not allowed without fit.temperature")
-    measured = table.temperatures.tolist()
+    measured = [one.kelvin for one in table.conditions]
     temperatures = temperatures or Limits(min(measured), max(measured))
-    v = Limits(*velocities).spaced("velocity", np.geomspace, _VELOCITIES)
-    T = Limits(*temperatures).spaced("temperature", np.linspace, _TEMPERATURES)
+    v = velocities.spaced("velocity", np.geomspace, _VELOCITIES)
+    T = temperatures.spaced("temperature", np.linspace, _TEMPERATURES)
     return np.tile(v, T.size), np.repeat(T, v.size)
 
 

@@ -211,17 +211,17 @@ class Tasks:
         one cannot be kept."""
         found, missing = dict[int, Any](), dict[int, tuple[Any, ...]]()
         for index, task in enumerate(tasks):
-            file = f"{name}-{index}.pickle"
-            if self.folder is not None and (self.folder / file).is_file():
-                found[index] = pickle.loads((self.folder / file).read_bytes())
+            kept = self.folder and self.folder / f"{name}-{index}.pickle"
+            if kept and kept.is_file():
+                found[index] = pickle.loads(kept.read_bytes())
                 done(index, found[index])
             else:
                 missing[index] = task
         for index, result in self._computed(function, missing):
             found[index] = result
-            if self.folder is not None:
-                file = f"{name}-{index}.pickle"
-                publish(self.folder, {file: pickle.dumps(result)})
+            if self.folder:
+                content = pickle.dumps(result)
+                publish(self.folder, {f"{name}-{index}.pickle": content})
             done(index, result)
         return [found[index] for index in range(len(tasks))]
 
@@ -258,11 +258,18 @@ class Direction(NamedTuple):
     name: str
 
 
+def principal_axes(jacobian: Array) -> tuple[Array, Array]:
+    """Singular values of J, the largest first, one for each parameter, and the
+    directions that belong to them, shape (parameters, parameters)."""
+    missing = max(jacobian.shape[1] - len(jacobian), 0)  # fewer measurements
+    padded = np.vstack((jacobian, np.zeros((missing, jacobian.shape[1]))))
+    _, singular, rows = np.linalg.svd(padded, full_matrices=False)
+    return singular, rows
+
+
 def ladder(keys: list[str], jacobian: Array) -> list[Direction]:
     """Eigenvectors of J'J in the space of parameters' variables, best determined first."""
-    missing = max(len(keys) - len(jacobian), 0)  # fewer measurements than parameters
-    padded = np.vstack((jacobian, np.zeros((missing, len(keys)))))
-    _, singular, rows = np.linalg.svd(padded, full_matrices=False)
+    singular, rows = principal_axes(jacobian)
     directions = []
     for value, row in zip((singular**2).tolist(), rows, strict=True):
         row = row * np.sign(row[np.argmax(np.abs(row))])

@@ -255,7 +255,7 @@ class FitResult:
         """Least chi-square that was met with the errors of the data as they are given,
         taken to be independent."""
         problem = replace(self.problem, correlation=None)
-        r = problem.residuals(self.best.u)
+        _, r = problem.deviations(self.best.u)
         return min(float(r @ r), *(one.chi2 for one in self.minima))
 
     @property
@@ -277,11 +277,13 @@ def interval_of(
     if sides is None:
         return Interval(one.key, best, one.transform, sd, {}, NOT_PROFILED)
     ends = {
-        name: tuple(one.value_or_none(side.ends[name]) for side in sides)
-        for name in profiles.LEVELS
+        level: tuple(
+            None if (u := side.ends[level]) is None else float(one.value(u))
+            for side in sides
+        )
+        for level in profiles.LEVELS
     }
-    low, high = sides
-    status = profiles.status(low, high, one.transform)
+    status = profiles.status(sides, one.transform)
     return Interval(one.key, best, one.transform, sd, ends, status)
 
 
@@ -330,8 +332,10 @@ def prepare(
     seen = {"record"} if table.time is not None else set(table.observable)
     loose = [one for one in free if one.prior is None]
     reasons = symmetry.refused(file, loose, bool(scales), seen)
-    warnings = symmetry.check(reasons, allow_degenerate)
-    return Prepared(file, section, table, problem_of(file, section, table), warnings)
+    if reasons and not allow_degenerate:
+        hint = "--allow-degenerate fits all the same"
+        raise InputError(f"fit.free: {reasons[0]} ({hint})")
+    return Prepared(file, section, table, problem_of(file, section, table), reasons)
 
 
 def measured(
@@ -357,7 +361,7 @@ def measured(
 def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
     """The fit of a table or a record. Raises InputError."""
     (scales, fixed), free = section.scales(table.sets), parameters_of(file, section)
-    rows, value = [table.rows[row] for row in table.row], table.value
+    rows, value = table.conditions, table.value
     names, nuisance = np.array(table.observable), dict[str, Array]()
     spread, keys = names == "force_std", [one.key for one in free]
     force = spread | (names == "friction")
@@ -405,16 +409,15 @@ def _check_rows(file: RunFile, table: Measurements) -> None:
         if file[f"drive.{name}"] is not None:
             raise InputError(f"drive.{name}: not allowed with fit.data, steady values")
     _ = file.ensemble  # its own errors must not name a row
-    seen = set()
-    for row in table.rows:
-        if row.changes in seen:
-            continue
-        seen.add(row.changes)
+    lines: dict[Any, int] = {}
+    for one in table.conditions:
+        lines.setdefault(one.changes, one.line)
+    for changes, line in lines.items():
         try:
-            there = at(file, dict(row.changes))
+            there = at(file, dict(changes))
             _ = there.ensemble, there.constant_drive
         except InputError as error:
-            raise InputError(f"fit.data, line {row.line}: {error}") from None
+            raise InputError(f"fit.data, line {line}: {error}") from None
 
 
 def fit(
@@ -629,7 +632,7 @@ def goodness(problem: Problem, u: Array) -> Goodness:
     """Agreement of a problem's data with its parameters `u`."""
     r = problem.whitened(problem.solved(u).predicted)
     n, k = problem.value.size, len(problem.parameters)
-    priors = problem.residuals(u)[n:]
+    priors = problem.deviations(u)[1][n:]
     dof = n + problem.priors - k
     normal, log_density = r, stats.norm.logpdf(r)
     if problem.loss == "student":

@@ -247,12 +247,15 @@ class Problem:
             chosen = [self.parameters[i] for i in unknown]
             rest = self._combined(raw, values | {one.key: 0.0 for one in chosen})
             columns = [self._column(i, raw) for i in unknown]
-            best = _linear_least_squares(
+            best = optimize.lsq_linear(
                 self.white(np.array(columns).T / self.sigma[:, None]),
                 self.white((self.value - rest) / self.sigma),
-                np.array([[one.value(one.low), one.value(one.high)] for one in chosen]),
+                np.array(
+                    [one.value(np.array([one.low, one.high])) for one in chosen]
+                ).T,
+                method="bvls",
             )
-            for i, one, x in zip(unknown, chosen, best, strict=True):
+            for i, one, x in zip(unknown, chosen, best.x, strict=True):
                 values[one.key] = float(x)
                 u[i] = min(max(one.variable(float(x)), one.low), one.high)
         return Solved(u, self._combined(raw, values), error * self._factor(values))
@@ -266,10 +269,6 @@ class Problem:
         except InputError:
             return u, np.full(self.value.size + self.priors, REFUSED)
         return u, self._deviates(u, predicted)
-
-    def residuals(self, u: Array, held: int = -1) -> Array:
-        """The residuals of `deviations`."""
-        return self.deviations(u, held)[1]
 
     def whitened(self, predicted: Array) -> Array:
         """Independent residuals of predictions, in standard errors."""
@@ -350,14 +349,3 @@ class Problem:
             unit=self.unit[same],
             spread=self.spread[same],
         )
-
-
-def _linear_least_squares(columns: Array, target: Array, bounds: Array) -> Array:
-    """Linear least squares within `bounds`, shape (columns, 2)."""
-    low, high = bounds.T
-    best = np.linalg.lstsq(columns, target, rcond=None)[0]
-    if np.all((best >= low) & (best <= high)):
-        return best
-    if best.size == 1:
-        return np.clip(best, low, high)
-    return np.asarray(optimize.lsq_linear(columns, target, (low, high)).x)

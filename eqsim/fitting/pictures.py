@@ -13,7 +13,7 @@ from scipy.interpolate import PchipInterpolator
 from eqsim.catalogue import LENGTH
 from eqsim.errors import require_package
 from eqsim.fitting.data import MEASURED
-from eqsim.fitting.estimate import DEGENERATE
+from eqsim.fitting.estimate import DEGENERATE, principal_axes
 from eqsim.fitting.model import AVERAGES, Problem, SteadyForward, velocity_of
 from eqsim.fitting.posterior import SHARES
 from eqsim.fitting.profiles import LEVELS, WIDE
@@ -52,8 +52,7 @@ def band(problem: Problem, result: "FitResult") -> tuple[Array, Array]:
         signed = step if u[i] + step <= problem.high[i] else -step
         moved = u + signed * (np.arange(u.size) == i)
         columns.append((problem.given(moved) - values) / signed)
-    jacobian = result.problem.jacobian(u)
-    _, singular, rows = np.linalg.svd(jacobian, full_matrices=False)
+    singular, rows = principal_axes(result.problem.jacobian(u))
     keep = singular > _NO_EFFECT * singular[0]
     root = (rows[keep] / singular[keep, None]).T  # of the inverse of J'J
     return values, np.sqrt(((np.array(columns).T @ root) ** 2).sum(axis=1))
@@ -74,11 +73,10 @@ class _Abscissa(NamedTuple):
         table, units = result.table, result.file.units
         if table.time is not None:
             return cls(table.time, axis("time", units), False, True)
-        given = [velocity_of(table.rows[row]) for row in table.row]
-        velocity = np.array(given, float)
+        velocity = np.array([*map(velocity_of, table.conditions)], float)
         if np.unique(velocity[np.isfinite(velocity)]).size > 1:
             return cls(velocity, axis("drive.velocity", units), True, False)
-        return cls(np.arange(1.0, table.row.size + 1), "measurement", False, False)
+        return cls(np.arange(1.0, table.value.size + 1), "measurement", False, False)
 
 
 @styled
@@ -111,14 +109,13 @@ def data_figure(prepared: "Prepared", title: str) -> Figure:
     panels: Any = figure.subplots(len(shown), 1, squeeze=False).ravel()
     x = _Abscissa.of(prepared)
     for name, panel in zip(shown, panels, strict=True):
-        here = np.array(prepared.table.observable) == name
-        _draw_data(panel, prepared, here, x)
-        panel.set(xlabel=x.label, ylabel=_OBSERVABLE_LABELS[name])
+        _draw_data(panel, prepared, name, x)
+        panel.set_xlabel(x.label)
     if prepared.table.read is not None and isinstance(prepared.file.drive, Programme):
         t, force = prepared.table.read
         if t.size > prepared.table.value.size:
             panels[0].plot(t, force, color="0.8", linewidth=0.4, zorder=0)
-        for end in np.cumsum([one.duration for one in prepared.file.drive.segments]):
+        for end in prepared.file.drive.corners[0][1:]:
             panels[0].axvline(end, color="0.6", linestyle=":", linewidth=0.7)
     said = textwrap.fill("; ".join(prepared.table.said), _TITLE_WIDTH)
     panels[0].set_title(plain(f"{title}\n{said}"))
@@ -126,17 +123,18 @@ def data_figure(prepared: "Prepared", title: str) -> Figure:
 
 
 def _draw_data(
-    panel: Any, result: "FitResult | Prepared", here: Array, x: _Abscissa
-) -> None:
-    """Draw measurements with their errors."""
-    series, size = _series(result, here), 2 if x.times else 4
+    panel: Any, result: "FitResult | Prepared", name: str, x: _Abscissa
+) -> list[tuple[list[int], dict[str, Any]]]:
+    """Draw the measurements of an observable with their errors; return the members of
+    each series and the look of its points."""
+    here = np.array(result.table.observable) == name
+    series, size, drawn = _series(result, here), 2 if x.times else 4, []
     for number, (label, members) in enumerate(series.items()):
-        marker, color = MARKERS[number % len(MARKERS)], f"C{number % 8}"
-        data = x.values[members], result.problem.value[members]
-        style: dict[str, Any] = {"color": color, "marker": marker, "markersize": size}
-        sigma = result.table.sigma[members]
-        style |= {"linestyle": "none", "capsize": size - 2}
-        panel.errorbar(*data, sigma, label=label, **style)
+        look = {"color": f"C{number % 8}", "marker": MARKERS[number % len(MARKERS)]}
+        style = {**look, "markersize": size, "linestyle": "none"}
+        data = result.problem.value[members], result.table.sigma[members]
+        panel.errorbar(x.values[members], *data, label=label, capsize=size - 2, **style)
+        drawn.append((members, style))
     value = result.table.value[here]
     if np.all(value > 0) and np.ptp(np.log(value)) > np.log(8.0):
         panel.set_yscale("log")
@@ -144,61 +142,53 @@ def _draw_data(
         panel.set_xscale("log")
     if len(series) > 1:
         panel.legend()
+    panel.set(ylabel=_OBSERVABLE_LABELS[name])
+    return drawn
 
 
 def _draw_observable(
     result: "FitResult", name: str, x: _Abscissa, top: Any, below: Any
 ) -> None:
     """Draw an observable and its fit into one panel, and residuals into another."""
-    problem, sigma = result.problem, result.table.sigma
-    here = np.array(result.table.observable) == name
-    r = (problem.value - problem.given(result.best.u)) / sigma
-    series, size = _series(result, here), 2 if x.times else 4
-    _draw_data(top, result, here, x)
-    for number, members in enumerate(series.values()):
-        color = f"C{number % 8}"
-        marker = MARKERS[number % len(MARKERS)]
-        style: dict[str, Any] = {"color": color, "marker": marker, "markersize": size}
-        style["linestyle"] = "none"
+    problem = result.problem
+    r = (problem.value - problem.given(result.best.u)) / result.table.sigma
+    for number, (members, style) in enumerate(_draw_data(top, result, name, x)):
         below.plot(x.values[members], r[members], **style)
         if x.times or x.velocities:
-            dashes = DASHES[number % len(DASHES)]
-            _draw_curve(top, _fitted_curve(result, members, x), color, dashes)
-    scores(below, r[here], "residual")
+            along, y, sd = _fitted_curve(result, members, x)
+            color, dashes = style["color"], DASHES[number % len(DASHES)]
+            top.plot(along, y, color=color, linestyle=dashes)
+            for level, alpha in (("95", 0.15), ("68", 0.3)):
+                low, high = (y + s * np.sqrt(LEVELS[level]) * sd for s in (-1.0, 1.0))
+                look = {"color": color, "alpha": alpha, "linewidth": 0}
+                top.fill_between(along, low, high, **look)
+    scores(below, r[np.array(result.table.observable) == name], "residual")
     below.axhline(0, color="0.6", linewidth=0.7)
-    below.set_xlabel(x.label)
-    top.set(ylabel=_OBSERVABLE_LABELS[name])
-    if x.velocities:
-        below.set_xscale("log")
+    below.set(xlabel=x.label, xscale=top.get_xscale())
 
 
 def _series(result: "FitResult | Prepared", here: Array) -> dict[str, list[int]]:
     """Group measurements that differ in velocity only; keys are labels of the rest."""
     table, series = result.table, dict[str, list[int]]()
     for index in np.flatnonzero(here).tolist():
-        row = table.rows[table.row[index]]
+        row = table.conditions[index]
         shared = [f"{k} = {v:g}" for k, v in row.changes if k != "drive.velocity"]
         if result.fit.temperature is not None:
-            shared.insert(0, f"T = {table.temperatures[table.row[index]]:g} K")
+            shared.insert(0, f"T = {row.kelvin:g} K")
         if row.set:
             shared.append(f"set {row.set}")
         series.setdefault(", ".join(shared), []).append(index)
     return series
 
 
-class _Curve(NamedTuple):
-    """A fitted curve and its standard deviation."""
-
-    x: Array
-    y: Array
-    sd: Array
-
-
-def _fitted_curve(result: "FitResult", members: list[int], x: _Abscissa) -> _Curve:
-    """The fit along a record, or over the velocities of the `members` of a series."""
+def _fitted_curve(
+    result: "FitResult", members: list[int], x: _Abscissa
+) -> tuple[Array, Array, Array]:
+    """The fit along a record, or over the velocities of the `members` of a series:
+    abscissa, prediction and its standard deviation."""
     problem = result.problem
     if x.times:
-        return _Curve(x.values, *band(problem, result))
+        return x.values, *band(problem, result)
     assert isinstance(problem.forward, SteadyForward)
     fine = np.unique(x.values[members])
     if problem.forward.observable[members[0]] in AVERAGES:  # others take a solve each
@@ -208,16 +198,7 @@ def _fitted_curve(result: "FitResult", members: list[int], x: _Abscissa) -> _Cur
     rows = [
         like._replace(changes=(*shared, ("drive.velocity", v))) for v in fine.tolist()
     ]
-    return _Curve(fine, *band(problem.elsewhere(members[0], rows), result))
-
-
-def _draw_curve(panel: Any, curve: _Curve, color: str, dashes: Any) -> None:
-    """Draw a curve with bands of 68 and 95 %."""
-    panel.plot(curve.x, curve.y, color=color, linestyle=dashes)
-    for level, alpha in (("95", 0.15), ("68", 0.3)):
-        wide = float(np.sqrt(LEVELS[level])) * curve.sd
-        style = {"color": color, "alpha": alpha, "linewidth": 0}
-        panel.fill_between(curve.x, curve.y - wide, curve.y + wide, **style)
+    return fine, *band(problem.elsewhere(members[0], rows), result)
 
 
 @styled
@@ -225,7 +206,12 @@ def compared_figure(models: "Mapping[str, FitResult]", title: str) -> Figure:
     """Draw a record against the displacement of the load point (against time if it is
     held) with the curves of several models, and the residuals of each below."""
     first = next(iter(models.values()))
-    x = _along(first)
+    x, programme = _Abscissa.of(first), first.file.drive
+    assert isinstance(programme, Programme)
+    if all(segment.velocity for segment in programme.segments):
+        unit = unit_text(first.file.units, LENGTH)
+        label = with_unit("displacement of the load point", unit)
+        x = x._replace(values=programme.position(x.values), label=label)
     figure = Figure(figsize=(8, 3.6 + 1.5 * len(models)))
     heights = [2.4, *[1.0] * len(models)]
     top, *below = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
@@ -250,17 +236,6 @@ def compared_figure(models: "Mapping[str, FitResult]", title: str) -> Figure:
     top.set_title(plain(f"{title}\nbars: 1 standard error; chi-square with these"))
     figure.align_ylabels(figure.axes)
     return figure
-
-
-def _along(result: "FitResult") -> _Abscissa:
-    """The displacement of the load point if it always moves, else time."""
-    x, programme = _Abscissa.of(result), result.file.drive
-    assert isinstance(programme, Programme)
-    if any(segment.velocity == 0 for segment in programme.segments):
-        return x
-    unit = unit_text(result.file.units, LENGTH)
-    label = with_unit("displacement of the load point", unit)
-    return x._replace(values=programme.position(x.values), label=label)
 
 
 @styled

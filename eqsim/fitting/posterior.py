@@ -95,13 +95,12 @@ class Posterior:
 
     def summary(self) -> dict[str, Any]:
         """The content of fit.json about the posterior."""
-        renamed = {"68": "interval_68", "95": "interval_95"}
-        parameters = {
-            key: {renamed.get(name, name): value for name, value in one.items()}
-            for key, one in self.intervals.items()
-        }
         return {
-            "parameters": parameters,
+            "parameters": {
+                key: {"median": one["median"]}
+                | {f"interval_{level}": one[level] for level in SHARES}
+                for key, one in self.intervals.items()
+            },
             "walkers": self.walkers,
             "steps": self.steps,
             "autocorrelation": self.autocorrelation,

@@ -164,13 +164,14 @@ def side(
     return Side(points, rise, ends, bool(np.any(rise < -_CLOSE_RISE)))
 
 
-def status(low: Side, high: Side, transform: str) -> str:
-    """Status of a key, "determined" or one of UNSURE: "determined" if the 95 % interval is closed, and that of 68 % of
-    a logarithm spans a factor 9 at most; "one-sided" if only one end of the 95 %
-    interval is known; else "degenerate"."""
-    closed = [one.ends["95"] is not None for one in (low, high)]
+def status(sides: list[Side], transform: str) -> str:
+    """Status of a key by the two sides of its profile: "determined" if the 95 % interval
+    is closed, and that of 68 % of a logarithm spans a factor 9 at most; "one-sided" if
+    only one end of the 95 % interval is known; else "degenerate"."""
+    closed = [side.ends["95"] is not None for side in sides]
     if not all(closed):
         return "one-sided" if any(closed) else "degenerate"
-    width = abs((high.ends["68"] or 0.0) - (low.ends["68"] or 0.0))
+    low, high = (side.ends["68"] or 0.0 for side in sides)
+    width = abs(high - low)
     wide = transform != "linear" and width > 2.0 * WIDE
     return "degenerate" if wide else "determined"

@@ -149,12 +149,8 @@ def fit_rate_and_state(
     trend : str
         From the first point on friction changes in proportion to the "displacement" of
         the load point, to "time", or not ("none").
-    starts : int
-        Points from which a least-squares fit begins.
-    workers : int
-        Processes; they change speed, never a number.
-    progress : callable, optional
-        `progress(done, total)` counts least-squares fits.
+    starts, workers, progress
+        As in `fit`.
 
     Returns
     -------
@@ -304,10 +300,6 @@ def record_of(
         Names of the two or three columns; by default the first ones.
     noise : float
         Standard error of every point, in quadrature to that of the file.
-
-    Returns
-    -------
-    RunFile
 
     Raises
     ------

@@ -57,41 +57,28 @@ _MOST_ROWS = 2000
 _LEAST_CORRELATION = 0.02
 
 
-class _Way(NamedTuple):
-    """Times at the ends of the segments of a programme, from 0 on, and displacements
-    there."""
-
-    t: Array
-    X: Array
-
-    @classmethod
-    def of(cls, programme: Programme) -> "_Way":
-        """The way of a programme."""
-        steps = [
-            (one.duration, math.copysign(one.path, one.velocity))
-            for one in programme.segments
-        ]
-        return cls(*np.cumsum([(0.0, 0.0), *steps], axis=0).T)
-
-    def check_end(self, time: float) -> None:
-        """Raise InputError for a record that ends after the programme."""
-        if time > self.t[-1] * (1.0 + 1e-9):
-            said = f"ends at {time:g}, after the programme, which takes {self.t[-1]:g}"
-            cure = "fit.record.start is the time of the clock at which it begins"
-            raise InputError(f"fit.record: {said}; {cure}")
-
-    def segment(self, t: Array) -> Array:
-        """The segment that each instant belongs to, or ends."""
-        inside = np.searchsorted(self.t[1:], t * (1.0 - 1e-12))
-        return np.asarray(np.minimum(inside, self.t.size - 2))
-
-
 def programme_of(file: RunFile) -> Programme:
     """The programme of a record. Raises InputError."""
     programme = file.drive
     if not isinstance(programme, Programme):
         raise InputError("drive.programme: is required with fit.record")
     return programme
+
+
+def _check_end(programme: Programme, time: float) -> None:
+    """Raise InputError for a record that ends after the programme."""
+    end = programme.corners[0][-1]
+    if time > end * (1.0 + 1e-9):
+        said = f"ends at {time:g}, after the programme, which takes {end:g}"
+        cure = "fit.record.start is the time of the clock at which it begins"
+        raise InputError(f"fit.record: {said}; {cure}")
+
+
+def _segment(programme: Programme, t: Array) -> Array:
+    """The segment that each instant belongs to, or ends."""
+    ends = programme.corners[0][1:]
+    inside = np.searchsorted(ends, t * (1.0 - 1e-12))
+    return np.asarray(np.minimum(inside, ends.size - 1))
 
 
 def read_record(
@@ -106,7 +93,7 @@ def read_record(
     quadrature. Raises InputError with the column or line that cannot be used."""
     record, noise = fit.record, fit.noise
     assert record is not None
-    way = None if file is None else _Way.of(programme_of(file))
+    programme = None if file is None else programme_of(file)
     sheet = read(path, f"fit.record.file = {path}", record.decimal)
     for key in ("time", "displacement", "force", "normal", "stderr"):
         name = getattr(record, key)
@@ -124,17 +111,18 @@ def read_record(
             raise InputError(f"{sheet.field}, line {found.lines[wrong[0]]}: {given}")
         force, errors = force / normal, errors / normal
     if record.displacement is not None:
-        if way is None or np.any(np.diff(way.X) <= 0):
+        if programme is None or any(one.velocity <= 0 for one in programme.segments):
             said_of = "in which the load point always moves on; give fit.record.time"
             raise InputError(f"fit.record.displacement: needs a programme {said_of}")
-        t = np.interp(t, way.X, way.t) * np.maximum(t / way.X[-1], 1.0)
-    if way is not None:
-        way.check_end(float(t[-1]))
+        ends, X = programme.corners
+        t = np.interp(t, X, ends) * np.maximum(t / X[-1], 1.0)
+    if programme is not None:
+        _check_end(programme, float(t[-1]))
     points, lines = (t, force, errors), found.lines
     long = record.blocks is None and t.size > _MOST_ROWS
-    if way is not None and (long or record.blocks not in (None, "none")):
+    if programme is not None and (long or record.blocks not in (None, "none")):
         common = math.hypot(noise.absolute, noise.relative * float(np.median(force)))
-        blocks = _blocks(record, way, (t, force), RowErrors(errors, common))
+        blocks = _blocks(record, programme, (t, force), RowErrors(errors, common))
         points = means(t, blocks), means(force, blocks), blocks.error
         lines = lines[blocks.first]
         said.append(_words_of(blocks, t))
@@ -145,13 +133,11 @@ def read_record(
         where = f"{sheet.field}, line {lines[wrong[0]]}"
         raise InputError(f"{where}: {record.force} has no error; {cure}")
     return Measurements(
-        rows=[MeasuredAt(changes=(), heat=1.0, set="")],
-        row=np.zeros(time.size, int),
+        conditions=[MeasuredAt()] * time.size,
         observable=["friction"] * time.size,
         value=value,
         sigma=sigma,
         names=[],
-        temperatures=np.ones(1),
         sha256=sheet.sha256,
         time=time,
         said=tuple(said),
@@ -160,20 +146,24 @@ def read_record(
 
 
 def _blocks(
-    record: RecordSection, way: _Way, points: tuple[Array, Array], errors: RowErrors
+    record: RecordSection,
+    programme: Programme,
+    points: tuple[Array, Array],
+    errors: RowErrors,
 ) -> Blocks:
     """The blocks of a record's rows, none of them beyond a segment of the programme.
     Raises InputError."""
     (t, force), given = points, None
     if isinstance(record.blocks, BlockSize):
-        path = np.append(0.0, np.cumsum(np.abs(np.diff(way.X))))
+        ends, X = programme.corners
+        path = np.append(0.0, np.cumsum(np.abs(np.diff(X))))
         moves = record.blocks.per == "displacement"
         if moves and np.any(np.diff(path) == 0):
             said = "a hold has none; it must be per time"
             raise InputError(f'fit.record.blocks: per = "displacement": {said}')
-        along = np.interp(t, way.t, path) if moves else t
+        along = np.interp(t, ends, path) if moves else t
         given = np.floor(along / record.blocks.size).astype(int)
-    return blocks_of(force, way.segment(t), errors, given)
+    return blocks_of(force, _segment(programme, t), errors, given)
 
 
 def _words_of(blocks: Blocks, t: Array) -> str:
@@ -210,8 +200,8 @@ class RecordForward:
     time: Array
     machine_stiffness: float | None
     fixed_scale: float
-    correction: Array | None = None
-    error: Array | None = None
+    correction: Array | float = 0.0
+    error: Array | float = 0.0
     choices: Sequence[Choices] = ()
 
     @property
@@ -227,9 +217,7 @@ class RecordForward:
             means = summed(kinds, [means_along(one.contacts, *drive) for one in kinds])
             return means.force[course.points], means.force_error[course.points]
         force = self._coarse(course)
-        correction = 0.0 if self.correction is None else self.correction
-        error = 0.0 if self.error is None else self.error
-        return force * (1.0 + correction), np.abs(force) * error
+        return force * (1.0 + self.correction), np.abs(force) * self.error
 
     def corrected(self, changes: dict[str, float], each: Each = map) -> "RecordForward":
         """Find the correction at these parameters, by Richardson extrapolation of
@@ -250,7 +238,7 @@ class RecordForward:
         if not course.programme.pulled:
             return self
         choices = choices_of(*course[:3], _COARSE, _MOST_SOLVER_STEPS)
-        return replace(self, correction=None, error=None, choices=choices)
+        return replace(self, correction=0.0, error=0.0, choices=choices)
 
     def _coarse(self, course: _Course) -> Array:
         """The force, uncorrected, with the coarse time steps of a search."""
@@ -268,11 +256,11 @@ class RecordForward:
             scale = changes.get("fit.scale", self.fixed_scale)
             stage = replace(programme.stage, stiffness=self.machine_stiffness / scale)
             programme = replace(programme, stage=stage)
-        way = _Way.of(programme)
-        way.check_end(self.time[-1])
-        time = np.minimum(self.time, way.t[-1])
-        t = np.unique(np.concatenate((way.t, time)))
-        grid = Grid(t, np.interp(t, way.t, way.X), way.segment(t))
+        _check_end(programme, self.time[-1])
+        ends = programme.corners[0]
+        time = np.minimum(self.time, ends[-1])
+        t = np.unique(np.concatenate((ends, time)))
+        grid = Grid(t, programme.position(t), _segment(programme, t))
         return _Course(ensemble, programme, grid, np.searchsorted(t, time))
 
 
@@ -281,10 +269,8 @@ def shapes(file: RunFile, fit: Fit, t: Array) -> dict[str, Array]:
     they are 1. Raises InputError."""
     found = {"fit.offset": np.ones(t.size), "fit.drift": t - t.mean()}
     if fit.trend is not None:
-        way = _Way.of(programme_of(file))
-        found["fit.trend"] = t
-        if fit.trend.per == "displacement":
-            found["fit.trend"] = np.interp(t, way.t, way.X)
+        along = fit.trend.per == "displacement"
+        found["fit.trend"] = programme_of(file).position(t) if along else t
     return found
 
 

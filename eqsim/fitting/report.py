@@ -23,6 +23,13 @@ from eqsim.plots.style import saved
 
 DATA_COLUMNS = ("", "points", "from", "to")
 KEY_COLUMNS = ("key", "estimate", "68 %", "95 %", "status")
+_PICTURES = {
+    "fit.png": pictures.fit_figure,
+    "profiles.png": pictures.profiles_figure,
+    "identifiability.png": pictures.identifiability_figure,
+}
+# Files that come after the estimates.
+_LATER = ("profiles.parquet", *_PICTURES, "posterior.parquet", "posterior.png")
 
 
 def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, Any]:
@@ -77,17 +84,17 @@ def fitted(result: FitResult) -> dict[str, Any]:
     """Columns of fitted.parquet, one measurement a row: its conditions, its value, and
     that of the fit."""
     table, problem = result.table, result.problem
-    rows = [table.rows[row] for row in table.row]
+    known = [dict(one.changes) for one in table.conditions]
     columns: dict[str, Any] = {
-        name: np.array([dict(row.changes).get(name, math.nan) for row in rows])
+        name: np.array([changes.get(name, math.nan) for changes in known])
         for name in table.names
     }
     if result.fit.temperature is not None:
-        columns["temperature"] = table.temperatures[table.row]
+        columns["temperature"] = np.array([one.kelvin for one in table.conditions])
     if table.time is not None:
         columns["time"] = table.time
     if len(table.sets) > 1:
-        columns["set"] = [row.set for row in rows]
+        columns["set"] = [one.set for one in table.conditions]
     best = problem.solved(result.best.u)
     r = (problem.value - best.predicted) / table.sigma
     return {
@@ -120,42 +127,27 @@ def _fit_origin(result: FitResult) -> dict[str, Any]:
     return storage.provenance("fit", file.settings, file.text, result.seed, file.folder)
 
 
-def write(result: FitResult, out: Path, title: str = "") -> list[str]:
-    """Write a results folder, and return the names of its files. Draws from the posterior
-    of another fit are removed."""
+def write(
+    result: FitResult, out: Path, title: str = "", *, final: bool = True
+) -> list[str]:
+    """Write a results folder, and return the names of its files: of a fit that is not
+    `final`, as profiles are to come, the estimates alone. Later files are those of
+    another fit, and removed."""
     origin, title = _fit_origin(result), result.file.title or title
     files = {
         "fit.json": storage.to_json(summary(result)).encode(),
         "fitted.parquet": storage.parquet(fitted(result), origin),
-        "profiles.parquet": storage.parquet(profiles(result), origin),
-        "run.toml": run_toml(result, out).encode(),
-        "fit.png": saved(pictures.fit_figure(result, title)),
-        "profiles.png": saved(pictures.profiles_figure(result, title)),
-        "identifiability.png": saved(pictures.identifiability_figure(result, title)),
     }
+    if final:
+        files["profiles.parquet"] = storage.parquet(profiles(result), origin)
+    files["run.toml"] = run_toml(result, out).encode()
+    for name, draw in _PICTURES.items() if final else ():
+        files[name] = saved(draw(result, title))
     storage.publish(out, files)
-    _remove_posterior(out)
+    for name in _LATER:
+        if name not in files:
+            (out / name).unlink(missing_ok=True)
     return list(files)
-
-
-def write_estimates(result: FitResult, out: Path) -> None:
-    """Write what a fit has before all its profiles are there; what is there of another
-    fit is removed."""
-    files = {
-        "fit.json": storage.to_json(summary(result)).encode(),
-        "fitted.parquet": storage.parquet(fitted(result), _fit_origin(result)),
-        "run.toml": run_toml(result, out).encode(),
-    }
-    storage.publish(out, files)
-    for name in ("profiles.parquet", "fit.png", "profiles.png", "identifiability.png"):
-        (out / name).unlink(missing_ok=True)
-    _remove_posterior(out)
-
-
-def _remove_posterior(out: Path) -> None:
-    """Remove draws from the posterior of another fit."""
-    for name in ("posterior.parquet", "posterior.png"):
-        (out / name).unlink(missing_ok=True)
 
 
 def write_posterior(
@@ -179,7 +171,7 @@ def run_toml(result: FitResult, out: Path) -> str:
     table, file = result.table, at(result.file, result.changes)
     names = ("velocity", "programme", "file")
     if all(file[f"drive.{name}"] is None for name in names):
-        given = [velocity_of(table.rows[row]) for row in table.row]
+        given = map(velocity_of, table.conditions)
         known = [v for v in given if v is not None]
         if known:
             middle = float(f"{math.exp(np.mean(np.log(known))):.6g}")
@@ -216,25 +208,24 @@ def _pairs(section: dict[str, Any]) -> Iterator[str]:
 
 
 def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
     if isinstance(value, dict):
         return "{ " + ", ".join(_pairs(value)) + " }"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_toml, value)) + "]"
-    return repr(value)  # also inf
+    if isinstance(value, float):
+        return repr(value)  # also inf, which JSON lacks
+    return json.dumps(value, ensure_ascii=False)
 
 
 def understood(prepared: Prepared) -> Iterator[tuple[str, ...]]:
     """Cells of `DATA_COLUMNS`: what was read of a file of measurements."""
-    table, at = prepared.table, [dict(row.changes) for row in prepared.table.rows]
-    columns = {name: [row[name] for row in at if name in row] for name in table.names}
+    table, lines = prepared.table, dict.fromkeys(prepared.table.conditions)
+    known = [dict(one.changes) for one in lines]
+    columns = {name: [x[name] for x in known if name in x] for name in table.names}
     if table.time is not None:
         columns["time"] = list(table.time)
     elif prepared.fit.temperature is not None:
-        columns[prepared.fit.temperature] = list(table.temperatures)
+        columns[prepared.fit.temperature] = [one.kelvin for one in lines]
     for name in dict.fromkeys(table.observable):
         here = np.array(table.observable) == name
         shown = "force" if table.time is not None else name
@@ -297,7 +288,7 @@ def remarks(result: FitResult) -> Iterator[str]:
             yield f"known to no better than a factor {factor:.3g}: {rung.name}"
     unsure = [one.key for one in result.intervals if one.status in UNSURE]
     thermal = any(key.startswith("thermal.") for key in unsure)
-    if thermal and len({row.heat for row in result.table.rows}) == 1:
+    if thermal and len({one.heat for one in result.table.conditions}) == 1:
         yield (
             "these are data of one temperature: a second one tells most about heat and "
             "thresholds (eqsim design)"

@@ -22,6 +22,9 @@ from eqsim.sweeps.plan import entries
 
 # Parameters of a record that are no keys of a run file, and their names in [fit].
 NUISANCES = ("fit.offset", "fit.drift", "fit.trend")
+# Keys of [interface] of which the only one holds for data, too: with an area these are
+# forces, with a normal stress friction coefficients.
+_LOADS = ("area", "normal_stress")
 # Examples of sections, for messages.
 _EXAMPLES = {
     "free": "{ bounds = [0.1, 10.0] }",
@@ -185,10 +188,6 @@ class Parameter(NamedTuple):
         """The key's value, from the variable, any shape."""
         return _TRANSFORMS[self.transform].value(u)
 
-    def value_or_none(self, u: float | None) -> float | None:
-        """The key's value; None if there is none."""
-        return None if u is None else float(self.value(u))
-
     def variable(self, value: float) -> float:
         """The variable in which a value is fitted."""
         return _TRANSFORMS[self.transform].variable(value)
@@ -217,7 +216,9 @@ def section_of(file: RunFile) -> Fit:
     if isinstance(fit.scale, float):
         require_number("fit.scale", fit.scale, **POSITIVE)
     if fit.area is None and fit.normal_stress is None:
-        fit = fit.model_copy(update=_of_interface(file))
+        given = {name: getattr(file.interface, name) for name in _LOADS}
+        known = {name: value for name, value in given.items() if value is not None}
+        fit = fit.model_copy(update=known if len(known) == 1 else {})
     if fit.data is not None and fit.record is not None:
         raise InputError("fit.record: not allowed with fit.data; one of both")
     if (fit.temperature is None) != (fit.reference_temperature is None):
@@ -225,14 +226,6 @@ def section_of(file: RunFile) -> Fit:
         said = "kT of a row is thermal.kT temperature/reference_temperature"
         raise InputError(f"fit.{missing}: is required; {said}")
     return fit
-
-
-def _of_interface(file: RunFile) -> dict[str, float]:
-    """The area or the normal stress of the run file's [interface], if it has only one of
-    them: with an area data are forces, with a normal stress friction coefficients."""
-    given = {name: getattr(file.interface, name) for name in ("area", "normal_stress")}
-    known = {name: value for name, value in given.items() if value is not None}
-    return known if len(known) == 1 else {}
 
 
 def _explain_section(error: pydantic.ValidationError) -> str:

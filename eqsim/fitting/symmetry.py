@@ -13,14 +13,13 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from scipy import linalg
 
 from eqsim import catalogue
-from eqsim.errors import InputError
 from eqsim.fitting.section import Parameter
 from eqsim.io.runfile import RunFile, parameters
 from eqsim.laws.aging import RULES
 from eqsim.laws.barrier import BARRIERS
-from eqsim.numerics.tables import Array
 
 # Powers of the factor by which the two symmetries, of lengths and of energies, scale
 # what is no key of a run file: N k ("fit.scale") and what is measured.
@@ -82,12 +81,14 @@ def _scalings(
         held.append("fit.scale")
         seen.remove("force_std")
     rows = np.array([powers_of(file, name) for name in (*held, *seen)], float)
-    for combination in _null(rows.reshape(-1, 2).T):
+    for combination in linalg.null_space(rows.reshape(-1, 2), rcond=1e-9).T:
         powers = {key: combination @ powers_of(file, key) for key in sorted(moving)}
         powers = {key: power for key, power in powers.items() if abs(power) > 1e-9}
         if not powers:
             continue
-        least = min(map(abs, powers.values()))
+        least = math.copysign(
+            min(map(abs, powers.values())), next(iter(powers.values()))
+        )
         said = ", ".join(f"{key} ~ l^{p / least:+.3g}" for key, p in powers.items())
         cure = "kT known"
         if abs(combination[0]) > 1e-9:
@@ -111,15 +112,6 @@ def powers_of(file: RunFile, name: str) -> tuple[int, int]:
         return 0, 0
     length, time, force = entry.dimension
     return length + time - force, force
-
-
-def _null(rows: Array) -> list[Array]:
-    """Combinations of the two scalings that change no column of powers, (2, columns)."""
-    if not rows.shape[1] or not rows.any():
-        return [np.array([1.0, 0.0]), np.array([0.0, 1.0])]
-    u, singular, _ = np.linalg.svd(rows)
-    rank = int((singular > 1e-9 * singular[0]).sum())
-    return [u[:, i] for i in range(rank, 2)]
 
 
 def _limits(
@@ -187,11 +179,3 @@ def _regimes(file: RunFile, by_key: dict[str, Parameter]) -> Iterator[str]:
         said = f"is above {_COLD:g} within the bounds, where only v_* ~ omega x_*/b"
         keys = f"{moves[0]} and thermal.attempt_frequency"
         yield f"{keys}: b = k x_*^2/(2 kT) {said} has an effect; fix one of them"
-
-
-def check(reasons: list[str], allowed: bool) -> list[str]:
-    """The reasons, as warnings, if they are `allowed`. Raises InputError otherwise."""
-    if reasons and not allowed:
-        hint = "--allow-degenerate fits all the same"
-        raise InputError(f"fit.free: {reasons[0]} ({hint})")
-    return reasons

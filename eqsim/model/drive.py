@@ -395,11 +395,19 @@ class Programme:
         given = self.stage is None and self.chain is None
         return not given or self.forced or self.motor
 
+    @property
+    def corners(self) -> tuple[Array, Array]:
+        """Times at the ends of the segments, from 0 on, and displacements there."""
+        steps = [
+            (one.duration, math.copysign(one.path, one.velocity))
+            for one in self.segments
+        ]
+        t, X = np.cumsum([(0.0, 0.0), *steps], axis=0).T
+        return t, X
+
     def position(self, t: Array) -> Array:
         """Displacement at times `t` of what is driven: the slider, or the stage."""
-        ends = np.cumsum([0.0, *(segment.duration for segment in self.segments)])
-        moved = [math.copysign(one.path, one.velocity) for one in self.segments]
-        return np.interp(t, ends, np.cumsum([0.0, *moved]))
+        return np.interp(t, *self.corners)
 
     def grid(self, points: int) -> Grid:
         """About `points` instants: equidistant along a segment that moves or whose

@@ -25,15 +25,9 @@ def modes_figure(modes: "Modes", caption: Caption) -> Figure:
     figure = Figure(figsize=(7, 4.6))
     axes = figure.subplots()
     axes.plot(modes.wave_number, modes.growth, marker=".", label="perturbations")
-    axes.fill_between(
-        modes.wave_number,
-        0.0,
-        np.maximum(modes.growth, 0.0),
-        color="C3",
-        alpha=0.15,
-        linewidth=0,
-        label="grow",
-    )
+    look: dict[str, Any] = {"color": "C3", "alpha": 0.15, "linewidth": 0}
+    above = np.maximum(modes.growth, 0.0)
+    axes.fill_between(modes.wave_number, 0.0, above, label="grow", **look)
     if modes.softest.value is not None:
         label = f"softest mode of this chain, {modes.verdict}"
         axes.plot(modes.lowest, modes.softest.value, "k*", markersize=12, label=label)

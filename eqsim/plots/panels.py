@@ -15,7 +15,7 @@ from eqsim.io.units import Quantity, Units
 from eqsim.numerics.tables import Array
 
 _BINS_PER_DECADE = 8  # bins of a histogram of sizes
-EXACT: dict[str, Any] = {"color": "k", "linewidth": 0.8, "linestyle": ":"}
+EXACT: dict[str, Any] = {"color": "k", "linewidth": 0.8, "linestyle": ":", "zorder": 3}
 DOTS: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4}
 
 
@@ -85,11 +85,13 @@ class Caption(NamedTuple):
         right.grid(False)
 
 
-def in_errors(run: Any, exact: Any) -> Array:
-    """Difference of two forces in standard errors; 0 where there is no error."""
+def draw_difference(axes: Axes, x: Array, run: Any, exact: Any) -> None:
+    """Draw the difference of two forces in standard errors; 0 where there is no error."""
     sigma = np.hypot(run.force_stderr, exact.force_error)
-    zero = np.zeros(sigma.size)
-    return np.divide(run.force - exact.force, sigma, out=zero, where=sigma > 0)
+    z = np.zeros(sigma.size)
+    np.divide(run.force - exact.force, sigma, out=z, where=sigma > 0)
+    scores(axes, z)
+    axes.plot(x, z, linewidth=0.8)
 
 
 def scores(axes: Axes, z: Array, label: str = "difference") -> None:

@@ -12,10 +12,9 @@ from eqsim.numerics.tables import Array
 from eqsim.plots.panels import (
     EXACT,
     Caption,
+    draw_difference,
     draw_sizes,
-    in_errors,
     legend_below,
-    scores,
 )
 from eqsim.plots.style import styled
 from eqsim.results import draw_band
@@ -35,6 +34,7 @@ _MOST_MARKS = 60  # segments or slips that are marked
 _FIRST_THRESHOLDS = 6.0
 _LONG_RUN = 4.0
 _MEAN = "exact mean (renewal equation)"
+_STEADY = "steady value (renewal-reward), ± 2 standard errors"
 
 
 @styled
@@ -54,16 +54,19 @@ def trajectory_figure(
     grid: dict[str, Any] = {"sharex": "col", "sharey": "row", "squeeze": False}
     ratios: dict[str, Any] = {"height_ratios": heights, "width_ratios": wide}
     columns = figure.subplots(len(heights), len(wide), **grid, **ratios).T
+    names = {"force": f"force: {caption.band}" if delayed else caption.band}
+    names["pinned"] = "pinned fraction"
     drawn: dict[str, Any] = {}
-    z = np.zeros(run.X.size) if exact is None else in_errors(run, exact)
     for panels in columns:
         drawn |= replica_spread(panels[0], run.X, run)
-        drawn |= _compare(panels[0], run, "force", "C0", steady.friction, exact)
+        looks = [(panels[0], "force", "C0", steady.friction)]
+        looks += [(panels[-1], "pinned", "C2", steady.pinned)] if delayed else []
+        for panel, name, color, level in looks:
+            course = _draw_course(panel, run.X, run, exact, name, color=color)
+            drawn |= {names[name]: course.pop(""), _STEADY: _draw_steady(panel, level)}
+            drawn |= course
         if exact is not None:
-            scores(panels[1], z)
-            panels[1].plot(run.X, z, linewidth=0.8)
-        if delayed:
-            drawn |= _compare(panels[-1], run, "pinned", "C2", steady.pinned, exact)
+            draw_difference(panels[1], run.X, run, exact)
         panels[-1].set(xlim=(run.X[0], run.X[-1]))
     left = columns[0]
     if several:
@@ -80,11 +83,7 @@ def trajectory_figure(
         left[-1].set(ylabel="pinned fraction\n$N_c / N$", ylim=(0, 1.05))
     caption.beside(columns[-1][0])
     figure.suptitle(caption.heading)
-    names = {
-        "simulated force": f"force: {caption.band}" if delayed else caption.band,
-        "simulated pinned": "pinned fraction",
-    }
-    legend_below(figure, {names.get(name, name): one for name, one in drawn.items()})
+    legend_below(figure, drawn)
     figure.align_ylabels(list(left))
     return figure
 
@@ -98,29 +97,30 @@ def replica_spread(axes: Axes, x: Array, run: Any) -> dict[str, Any]:
     return {"± standard deviation between replicas": band}
 
 
-def _compare(
+def _draw_course(
     axes: Axes,
-    run: "Trajectory",
-    name: str,
-    color: str,
-    steady: Estimate,
+    x: Array,
+    run: Any,
     exact: "Transient | None",
+    name: str = "force",
+    here: Any = slice(None),
+    **look: Any,
 ) -> dict[str, Any]:
-    """Draw a curve with its error band, the steady value and the exact mean; return
-    legend entries."""
-    y, error = getattr(run, name), 2 * getattr(run, f"{name}_stderr")
-    drawn: dict[str, Any] = {
-        f"simulated {name}": draw_band(axes, run.X, y, error, color=color)
-    }
+    """Draw a column of a run with its error band, and the exact mean; return legend
+    entries."""
+    y, error = getattr(run, name)[here], 2 * getattr(run, f"{name}_stderr")[here]
+    drawn: dict[str, Any] = {"": draw_band(axes, x[here], y, error, **look)}
+    if exact is not None:
+        drawn[_MEAN] = axes.plot(x[here], getattr(exact, name)[here], **EXACT)[0]
+    return drawn
+
+
+def _draw_steady(axes: Axes, steady: Estimate) -> Any:
+    """Draw the steady value with its error; return both for a legend."""
     value, stderr = steady.value or 0.0, 2 * (steady.stderr or 0.0)
     span: dict[str, Any] = {"color": "C3", "alpha": 0.25, "linewidth": 0}
-    drawn["steady value (renewal-reward), ± 2 standard errors"] = (
-        axes.axhspan(value - stderr, value + stderr, **span),
-        axes.axhline(value, color="C3", linestyle="--"),
-    )
-    if exact is not None:
-        drawn[_MEAN] = axes.plot(run.X, getattr(exact, name), **EXACT)[0]
-    return drawn
+    band = axes.axhspan(value - stderr, value + stderr, **span)
+    return band, axes.axhline(value, color="C3", linestyle="--")
 
 
 @styled
@@ -142,18 +142,16 @@ def programme_figure(
         upper, lower = parts
         below = lower.subplots(1, len(holds), squeeze=False, sharey=True)[0]
     force, curve, *differences = upper.subplots(len(rows), 1, height_ratios=rows)
-    drawn = _force(force, run.t, run, exact)
+    drawn = _draw_course(force, run.t, run, exact)
     drawn = {caption.band: drawn.pop(""), **drawn}
     force.set_title(caption.heading)
-    _force(curve, run.X, run, exact)
+    _draw_course(curve, run.X, run, exact)
     curve.set(xlabel=caption.along("X"))
     for panel in (force, curve):
         panel.set_ylabel(caption.force)
         caption.beside(panel)
     for panel in differences:
-        z = in_errors(run, exact)
-        scores(panel, z)
-        panel.plot(run.t, z, linewidth=0.8)
+        draw_difference(panel, run.t, run, exact)
     for panel in (force, *differences):
         panel.set(xlabel=caption.along("time"), xlim=(run.t[0], run.t[-1]))
         for segment in run.segments[:-1] if len(run.segments) <= _MOST_MARKS else ():
@@ -163,41 +161,13 @@ def programme_figure(
     for panel, index in zip(below, holds, strict=True):
         here = np.flatnonzero(run.segment == index)
         begin = run.t[here[0] - 1] if index else 0.0
-        _force(panel, run.t - begin, run, exact, here)
+        _draw_course(panel, run.t - begin, run, exact, here=here)
         panel.set_xscale("log")
         held = caption.unit(f"time held, segment {index}", TIME, unknown=True)
         panel.set_xlabel(held)
     if holds:
         below[0].set(ylabel=caption.force)
     return figure
-
-
-def _force(
-    axes: Axes,
-    x: Array,
-    run: "ProgrammeTrajectory",
-    exact: "Transient | None",
-    here: Any = slice(None),
-) -> dict[str, Any]:
-    """Draw the force against `x` with its error band, and the exact mean; return legend
-    entries."""
-    error = 2 * run.force_stderr[here]
-    drawn: dict[str, Any] = {"": draw_band(axes, x[here], run.force[here], error)}
-    if exact is not None:
-        drawn[_MEAN] = axes.plot(x[here], exact.force[here], **EXACT)[0]
-    return drawn
-
-
-def _draw_velocity(axes: "Axes", run: "SliderTrajectory", caption: Caption) -> None:
-    """Draw the force of the spring against the velocity of the slider."""
-    velocity = np.gradient(run.X, run.t)
-    axes.plot(velocity, run.spring, color="C3", linewidth=0.7)
-    speed = "velocity of the slider, between two records"
-    axes.set_xlabel(caption.unit(speed, VELOCITY, unknown=True))
-    axes.set_ylabel(caption.length("force of the spring / $(N k)$"))
-    driven = np.abs(np.diff(run.stage) / np.diff(run.t)).max()
-    if np.abs(velocity).max() > _FAST * driven > 0:
-        axes.set_xscale("symlog", linthresh=driven)
 
 
 @styled
@@ -214,18 +184,16 @@ def slider_figure(
     figure = Figure(figsize=(9, 6.0 if forced else 8.8))
     panels = figure.subplots(count, 1, height_ratios=[1.2, 1.0, 1.2][:count])
     force, displacement = panels[:2]
-    error = 2 * run.force_stderr
     driven = "force of the spring; displacement of the stage"
     if forced:
         driven = "driving force"
+    course = _draw_course(force, run.t, run, exact)
     drawn: dict[str, Any] = {
-        "friction of the contacts, ± 2 standard errors at the same X": draw_band(
-            force, run.t, run.force, error
-        ),
+        "friction of the contacts, ± 2 standard errors at the same X": course[""],
         driven: force.plot(run.t, run.spring, color="C3")[0],
     }
     if exact is not None:
-        drawn["friction, mean field"] = force.plot(run.t, exact.force, **EXACT)[0]
+        drawn["friction, mean field"] = course[_MEAN]
     for slip in run.slips if len(run.slips) <= _MOST_MARKS else ():
         line = force.axvline(slip.t, color="0.7", linewidth=0.7, zorder=0)
         drawn["slips, at half of their drop"] = line
@@ -239,8 +207,15 @@ def slider_figure(
     displacement.set(ylabel=caption.length("displacement"))
     for panel in (force, displacement):
         panel.set(xlabel=caption.along("time"), xlim=(run.t[0], run.t[-1]))
-    if not forced:
-        _draw_velocity(panels[2], run, caption)
+    for panel in panels[2:]:
+        velocity = np.gradient(run.X, run.t)
+        panel.plot(velocity, run.spring, color="C3", linewidth=0.7)
+        speed = "velocity of the slider, between two records"
+        panel.set_xlabel(caption.unit(speed, VELOCITY, unknown=True))
+        panel.set_ylabel(caption.length("force of the spring / $(N k)$"))
+        stage = np.abs(np.diff(run.stage) / np.diff(run.t)).max()
+        if np.abs(velocity).max() > _FAST * stage > 0:
+            panel.set_xscale("symlog", linthresh=stage)
     legend_below(figure, drawn)
     return figure
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
+import pandas as pd
 import pyarrow
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -52,8 +53,16 @@ _FINE_CURVE = 120  # points of a reference curve against velocity, which costs o
 _COARSE_CURVE = 40  # points of one against another key
 _MOST_SOLVES = 600  # solves for the reference curves of a picture
 _REFERENCES = ("friction", "pinned", "break_stretch")
-_DASH: dict[str, Any] = {"linestyle": "none", "marker": "_"}
 _POINT_LOOK: dict[str, Any] = {"marker": "o", "markersize": 5.5}
+_DASH: dict[str, Any] = {"linestyle": "none", "marker": "_"}
+# Marks that a legend explains, in order: what they are, and their looks.
+_EXPLAINED: dict[str, tuple[str, dict[str, Any]]] = {
+    "points": ("simulated", _DASH | _POINT_LOOK),
+    "lines": ("master equation", {}),
+    "dashes": ("master equation", {**_DASH, "markersize": 11}),
+    "bars": ("± 2 standard errors", {**_DASH, "marker": "|", "markersize": 11}),
+    "open": ("unreliable", _DASH | _POINT_LOOK | {"markerfacecolor": "white"}),
+}
 
 
 class Sweep(NamedTuple):
@@ -85,6 +94,38 @@ class Sweep(NamedTuple):
         file has a unit of force."""
         known = self.units.force and "friction_force" in self.table
         return "friction_force" if known else "friction"
+
+
+class _Levels(NamedTuple):
+    """Distinct values of a column in order, missing ones last, as they are printed; and
+    which of them each row has."""
+
+    codes: Array
+    values: Any
+    texts: list[str]
+
+    @classmethod
+    def of(cls, column: Column) -> "_Levels":
+        """Print numbers with six digits, or as many as tell neighbours apart."""
+        codes, values = pd.factorize(column, sort=True, use_na_sentinel=False)
+        texts = [_printed(value, 6) for value in values]
+        for digits in range(7, 18):
+            count = Counter(texts)
+            texts = [
+                _printed(value, digits) if count[text] > 1 else text
+                for value, text in zip(values, texts, strict=True)
+            ]
+        return cls(codes, values, texts)
+
+    def __str__(self) -> str:
+        """Some of them, to choose from in a message."""
+        return ", ".join(self.texts[:8] + ["..."] * (len(self.texts) > 8))
+
+
+def _printed(value: Any, digits: int) -> str:
+    if pd.isna(value):
+        return "none"
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
 
 
 def read_sweep(folder: Path) -> Sweep:
@@ -129,17 +170,12 @@ def select(table: Points, where: dict[str, str]) -> Points:
     1e-9, or to the digits with which they are printed. Raises InputError."""
     for name, text in where.items():
         column = _column(table, name, "--where")
-        same = column.astype(str) == text
+        known = _Levels.of(column)
+        same = np.array(known.texts)[known.codes] == text
         if _numeric(column):
             with suppress(ValueError):
-                same = np.isclose(column, float(text), rtol=1e-9, atol=0)
+                same |= np.isclose(column, float(text), rtol=1e-9, atol=0)
         if not np.any(same):
-            texts = _texts(column)
-            same = (
-                column.map(lambda value, texts=texts: texts[_hashable(value)]) == text
-            )
-        if not np.any(same):
-            known = _values(column)
             raise InputError(
                 f"--where {name}={text}: no point has this value; there are {known}"
             )
@@ -228,12 +264,13 @@ def _figure(
     head = 0.5 + 0.13 * len(title.split("\n")) if width else 1.2
     figure = Figure(figsize=(width or 9.0, head + high * len(ys)))
     panels: Any = figure.subplots(len(ys), 1, sharex=True, squeeze=False)[:, 0]
-    look, legends, bar = _looks(table, by, sweep.units)
-    explained: dict[str, Line2D] = {}
+    groups = {name: _Levels.of(table[name]) for name in by}
+    look, legends, bar = _looks(groups, sweep.units)
+    marks: set[str] = set()
     drawn: list[Any] = []
     for axes, y in zip(panels, ys, strict=True):
         axes.set_xscale("log" if log else "linear")
-        explained |= _panel(axes, sweep, table, (x, y), by, look)
+        marks |= _panel(axes, sweep, table, (x, y), groups, look)
         axes.set_ylabel(wrapped(axes.get_ylabel(), high))
         drawn += axes.get_legend_handles_labels()[0]
     if bar is not None:
@@ -245,7 +282,12 @@ def _figure(
     panels[-1].set_xlabel(wrapped(label, 0.75 * figure.get_figwidth()))
     figure.align_ylabels(list(panels))
     panels[0].set_title(title)
-    handles = [*legends, *explained.values(), *drawn]
+    explained = [
+        Line2D([], [], color="0.35", label=f"{mark}: {meaning}", **mark_look)
+        for mark, (meaning, mark_look) in _EXPLAINED.items()
+        if mark in marks
+    ]
+    handles = [*legends, *explained, *drawn]
     for line in [*handles, *(line for axes in panels for line in axes.lines)]:
         line.set_markersize(line.get_markersize() * (0.6 if width else 1.0))
     if handles and not by and len(ys) == 1 and not width:
@@ -275,20 +317,21 @@ def _panel(
     sweep: Sweep,
     table: Points,
     columns: tuple[str, str],
-    by: list[str],
+    groups: dict[str, _Levels],
     look: Any,
-) -> dict[str, Line2D]:
-    """Draw one column against another; return the legend entries that explain it."""
+) -> set[str]:
+    """Draw one column against another; return the marks to be explained."""
     x, y = columns
     quantity = _stress(sweep, y, float(table[y].abs().max()))
     factor = quantity.factor if quantity else 1.0
     scaled = [name for name in (y, f"{y}_stderr", f"{y}_reference") if name in table]
     if quantity:
         table = table.assign(**{name: table[name] * factor for name in scaled})
-    lines = dashes = False
-    series = list(table.groupby(by, dropna=False)) if by else [((), table)]
-    for values, members in series:
-        style, line = look(values)
+    marks: set[str] = set()
+    by = [levels.codes for levels in groups.values()]
+    series = list(table.groupby(by)) if by else [((), table)]
+    for codes, members in series:
+        style, line = look(codes)
         members = members.sort_values(x)
         solves = _MOST_SOLVES // max(1, len(series))
         log = axes.get_xscale() == "log"
@@ -296,14 +339,14 @@ def _panel(
         if fine is not None:
             how: dict[str, Any] = {"color": style["color"], "linestyle": line}
             axes.plot(fine[0], fine[1] * factor, zorder=2, **how)
+            marks.add("lines")
         if law := healing_of(members, x, y):
             draw_healing(axes, law, members[x].to_numpy(float), style["color"])
-        lines |= fine is not None
-        dashes |= _draw_series(axes, members, columns, style, dashed=fine is None)
+        marks |= _draw_series(axes, members, columns, style, dashed=fine is None)
     axes.set_ylabel(axis(y, sweep.units, quantity.unit if quantity else ""))
     Caption("", quantity=_friction_beside(sweep, table, y)).beside(axes)
     not_flat(axes)
-    return _explained(table, y, lines, dashes)
+    return marks | {"points"} if marks else marks
 
 
 def _drawable(
@@ -312,7 +355,7 @@ def _drawable(
     """The points that can be drawn, and notes on the others."""
     for name, option in ((x, "--x"), *((y, "--y") for y in ys)):
         if not _numeric(_column(table, name, option)):
-            of = _values(table[name])
+            of = _Levels.of(table[name])
             raise InputError(f"{option} {name}: is not a column of numbers but of {of}")
     for name in by:
         _column(table, name, "--by")
@@ -327,7 +370,7 @@ def _drawable(
         if name not in known and table[name].nunique(dropna=False) > 1
     ]
     if free:
-        several = "; ".join(f"{name} ({_values(table[name])})" for name in free)
+        several = "; ".join(f"{name} ({_Levels.of(table[name])})" for name in free)
         said = "besides --x and --by other parameters vary; choose with --where"
         raise InputError(f"{said} KEY=VALUE: {several}")
     table = table.assign(status=table.get("status", "ok"))
@@ -343,61 +386,46 @@ def _drawable(
 
 
 def _looks(
-    table: Points, by: list[str], units: Units
+    groups: dict[str, _Levels], units: Units
 ) -> tuple[Any, list[Line2D], ScalarMappable | None]:
-    """A function that gives the look of a series by its values of the columns `by`, the
-    entries of the legend, and a colour bar."""
-    if not by:
-        return lambda values: ({"color": COLORS[0], **_POINT_LOOK}, "-"), [], None
-    groups = [sorted(table[name].unique(), key=_order) for name in by]
-    first, second = groups[0], groups[1] if len(by) > 1 else []
-    bar = None
-    colors: list[Any] = [COLORS[i % len(COLORS)] for i in range(len(first))]
-    if len(first) > _MOST_SERIES:
-        shades = np.linspace(0.0, 0.95, len(first))
-        if _numeric(table[by[0]]) and np.isfinite(np.asarray(first, float)).all():
-            low, high = float(first[0]), float(first[-1])
+    """A function that gives the look of a series by its levels in each of the `groups`,
+    the entries of the legend, and a colour bar."""
+    if not groups:
+        return lambda codes: ({"color": COLORS[0], **_POINT_LOOK}, "-"), [], None
+    (name, first), *others = groups.items()
+    count, bar = len(first.texts), None
+    colors: list[Any] = [COLORS[i % len(COLORS)] for i in range(count)]
+    if count > _MOST_SERIES:
+        shades = np.linspace(0.0, 0.95, count)
+        if _numeric(first.values) and np.isfinite(first.values).all():
+            low, high = float(first.values[0]), float(first.values[-1])
             scale = LogNorm if low > 0 and high > _SPREAD * low else Normalize
             bar = ScalarMappable(scale(low, high), "viridis")
-            shades = np.asarray(bar.norm(np.asarray(first, float)))
+            shades = np.asarray(bar.norm(first.values.astype(float)))
         colors = list(matplotlib.colormaps["viridis"](shades))
 
-    def look(values: Any) -> tuple[dict[str, Any], Any]:
-        values = values if isinstance(values, tuple) else (values,)
-        i = _index(first, values[0])
-        j = _index(second, values[1]) if second else i if bar is None else 0
+    def look(codes: Any) -> tuple[dict[str, Any], Any]:
+        i = codes[0]
+        j = codes[1] if others else i if bar is None else 0
         style = {"color": colors[i], "marker": MARKERS[j % len(MARKERS)]}
         style["markersize"] = 5.5 if bar is None else 4.0
         return style, DASHES[j % len(DASHES)]
 
     legend: list[Line2D] = []
-    for number, (name, values) in enumerate(zip(by, groups, strict=True)):
+    for number, (name, levels) in enumerate(groups.items()):
         if number == 0 and bar is not None:
             continue
         head = axis(name, units, unknown=False)
         legend.append(Line2D([], [], linestyle="none", label=head))
-        texts = _texts(table[name])
-        for value in values:
-            style, line = look((first[0], value) if number else (value, *second[:1]))
+        for code, text in enumerate(levels.texts):
+            style, line = look((0, code) if number else (code, 0))
             if number:
                 style["color"] = "0.35"
-            elif second:
+            elif others:
                 style["marker"], line = "o", "none"
-            style |= {"linestyle": line, "label": plain(texts[_hashable(value)])}
+            style |= {"linestyle": line, "label": plain(text)}
             legend.append(Line2D([], [], **style))
     return look, legend, bar
-
-
-def _order(value: Any) -> tuple[int, Any]:
-    """Key to sort values by: numbers, then texts, then missing values."""
-    if isinstance(value, str):
-        return 1, value
-    return (2, "") if value is None or value != value else (0, value)
-
-
-def _index(values: list[Any], value: Any) -> int:
-    """Find a value in a list that may hold NaN."""
-    return [_order(one) for one in values].index(_order(value))
 
 
 def _draw_series(
@@ -406,48 +434,27 @@ def _draw_series(
     columns: tuple[str, str],
     style: dict[str, Any],
     dashed: bool,
-) -> bool:
-    """Draw one series; return whether its references are dashes."""
-    (x, y), color = columns, style["color"]
+) -> set[str]:
+    """Draw one series, with dashes as references if `dashed`; return its marks."""
+    (x, y), color, marks = columns, style["color"], set[str]()
     reference = f"{y}_reference"
-    dashed &= reference in members and bool(members[reference].notna().any())
-    if dashed:
+    if dashed and reference in members and members[reference].notna().any():
+        marks.add("dashes")
         known = members.drop_duplicates(x).dropna(subset=reference)
         axes.plot(
             known[x], known[reference], color=color, markersize=13, zorder=2, **_DASH
         )
     stderr = f"{y}_stderr"
     bars = 2 * members[stderr].astype(float) if stderr in members else None
+    if bars is not None and bars.notna().any():
+        marks.add("bars")
     bar: dict[str, Any] = {"fmt": "none", "ecolor": color, "capsize": 2.5}
     axes.errorbar(members[x], members[y], bars, zorder=3, **bar)
     unsure = members["status"] == "unreliable"
     for points, fill in ((members[~unsure], color), (members[unsure], "white")):
         how: dict[str, Any] = {"linestyle": "none", "markerfacecolor": fill, **style}
         axes.plot(points[x], points[y], zorder=4, **how)
-    return dashed
-
-
-def _explained(table: Points, y: str, lines: bool, dashes: bool) -> dict[str, Line2D]:
-    """Legend entries of lines, dashes, bars and open markers, where there are any, and
-    then of the points."""
-    bars = f"{y}_stderr" in table and table[f"{y}_stderr"].notna().any()
-    mark: dict[str, Any] = {"linestyle": "none", "markersize": 11}
-    unsure = bool((table["status"] == "unreliable").any())
-    looks = {
-        "points: simulated": (lines or dashes or bars or unsure, mark | _POINT_LOOK),
-        "lines: master equation": (lines, {}),
-        "dashes: master equation": (dashes, {**mark, "marker": "_"}),
-        "bars: ± 2 standard errors": (bars, {**mark, "marker": "|"}),
-        "open: unreliable": (
-            unsure,
-            {**mark, **_POINT_LOOK, "markerfacecolor": "white"},
-        ),
-    }
-    return {
-        label: Line2D([], [], color="0.35", label=label, **look)
-        for label, (present, look) in looks.items()
-        if present
-    }
+    return marks | {"open"} if unsure.any() else marks
 
 
 def _reference_curve(
@@ -509,7 +516,7 @@ def _point(sweep: Sweep, row: Any, more: dict[str, Any]) -> RunFile:
         for key, kind in keys(sweep.file).items()
         if key in row and not key.startswith("output.")
         if sweep.table[key].nunique(dropna=False) > 1
-        if _hashable(row[key]) is not None
+        if pd.notna(row[key])
     } | more
     kelvin = "thermal.temperature"
     if kelvin in changes or sweep.file[kelvin] is not None:
@@ -552,37 +559,3 @@ def _column(table: Points, name: str, option: str) -> Column:
 
 def _numeric(column: Column) -> bool:
     return column.dtype.kind in "iuf"
-
-
-def _hashable(value: Any) -> Any:
-    """A value as a key of a dictionary, in which NaN is found again."""
-    return None if value is None or value != value else value
-
-
-def _texts(column: Column) -> dict[Any, str]:
-    """Values of a column as they are printed: numbers with six digits, or as many as
-    tell neighbours apart."""
-    values = [_hashable(value) for value in column.drop_duplicates()]
-    texts = {value: _digits_of(value, 6) for value in values}
-    for digits in range(7, 18):
-        shared = {text for text, count in Counter(texts.values()).items() if count > 1}
-        texts = {
-            value: _digits_of(value, digits) if text in shared else text
-            for value, text in texts.items()
-        }
-    return texts
-
-
-def _values(column: Column) -> str:
-    """Some values of a column, to choose from in a message."""
-    texts = _texts(column)
-    found = [
-        texts[_hashable(value)] for value in column.drop_duplicates().sort_values()
-    ]
-    return ", ".join(found[:8] + ["..."] * (len(found) > 8))
-
-
-def _digits_of(value: Any, digits: int) -> str:
-    if value is None:
-        return "none"
-    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)

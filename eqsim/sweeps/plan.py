@@ -4,6 +4,7 @@ with an identity and a seed."""
 import hashlib
 import json
 import math
+from collections import Counter
 from collections.abc import Collection, Iterator
 from typing import Any
 
@@ -46,8 +47,7 @@ class Plan:
         self.ids = known or [self._checked(index) for index in range(self.size)]
         seen: dict[str, int] = {}
         for index, point_id in enumerate(self.ids):
-            first = seen.setdefault(point_id, index)
-            if first != index:
+            if (first := seen.setdefault(point_id, index)) != index:
                 pairs = self.changes(index).items()
                 same = ", ".join(f"{key} = {shown(value)}" for key, value in pairs)
                 both = f"points {first + 1} and {index + 1}"
@@ -56,12 +56,7 @@ class Plan:
     @property
     def changed(self) -> set[str]:
         """The keys that are set at any point."""
-        return {key for axis in self.axes for row in axis for key in row}
-
-    @property
-    def swept(self) -> set[str]:
-        """The keys that are set at every point."""
-        return _everywhere(self.axes)
+        return set[str]().union(*(row for axis in self.axes for row in axis))
 
     def _checked(self, index: int) -> str:
         """Check that a point can be computed, and return its identity."""
@@ -75,11 +70,9 @@ class Plan:
 
     def changes(self, index: int) -> dict[str, Any]:
         """Keys and values in which a point differs from the run file."""
-        rows: list[dict[str, Any]] = []
-        for axis in reversed(self.axes):
-            index, number = divmod(index, len(axis))
-            rows.append(axis[number])
-        return {key: value for row in reversed(rows) for key, value in row.items()}
+        numbers = np.unravel_index(index, [len(axis) for axis in self.axes])
+        rows = (axis[number] for axis, number in zip(self.axes, numbers, strict=True))
+        return {key: value for row in rows for key, value in row.items()}
 
     def at(self, index: int) -> RunFile:
         """The run file of a point."""
@@ -106,13 +99,9 @@ def _axes(file: RunFile) -> list[list[dict[str, Any]]]:
     if not axes:
         example = '"drive.velocity" = [0.1, 1.0]'
         raise InputError(f"sweep: needs a [sweep] table, for example {example}")
-    known: set[str] = set()
-    for axis in axes:
-        changed = {key for row in axis for key in row}
-        if known & changed:
-            both = min(known & changed)
-            raise InputError(f"sweep.{both}: is in two axes; must be in one")
-        known |= changed
+    known = Counter(key for axis in axes for key in set[str]().union(*axis))
+    if several := sorted(key for key, count in known.items() if count > 1):
+        raise InputError(f"sweep.{several[0]}: is in two axes; must be in one")
     return axes
 
 
@@ -133,11 +122,7 @@ def _zipped(group: Any, file: RunFile) -> list[dict[str, Any]]:
 
 def swept(file: RunFile) -> set[str]:
     """The keys that a [sweep] table sets at every point. Raises InputError."""
-    return _everywhere(_axes(file))
-
-
-def _everywhere(axes: list[list[dict[str, Any]]]) -> set[str]:
-    return {key for axis in axes for key in set.intersection(*map(set, axis))}
+    return {key for axis in _axes(file) for key in set.intersection(*map(set, axis))}
 
 
 def entries(

@@ -47,7 +47,8 @@ class Task(NamedTuple):
 class Asked:
     """Accuracy that is asked of each point: steady averages to a relative standard
     error, by so many lives at most; or if `transient` averages over the second half of
-    the run; and whether references belong to them. Raises InputError unless both numbers are positive."""
+    the run; and whether references belong to them. Raises InputError unless both
+    numbers are positive."""
 
     rel_error: float = 1e-2
     max_lives: float = 1e10
@@ -57,10 +58,8 @@ class Asked:
     def settings(self) -> dict[str, Any]:
         """All of these; `exact` only if it is not the default, as files of earlier
         releases do not have it."""
-        settings = asdict(self)
-        if self.exact:
-            del settings["exact"]
-        return settings
+        every = asdict(self).items()
+        return {name: x for name, x in every if name != "exact" or not x}
 
     def __post_init__(self) -> None:
         require_number("--rel-error", self.rel_error, above=0)
@@ -80,12 +79,8 @@ def compute(
 
 def _point_row(task: Task, asked: Asked, threads: int) -> RowCells:
     """The columns of a point; of one that fails its status and message."""
-    begin = time.perf_counter()
-    options: RowCells = {
-        "seed": task.seed,
-        "threads": threads,
-        "max_lives": asked.max_lives,
-    }
+    begin, options = time.perf_counter(), RowCells(seed=task.seed, threads=threads)
+    options["max_lives"] = asked.max_lives
     sampled = options | {"points": task.points, "replicas": task.replicas}
     try:
         if (drive := task.drive).elastic:
@@ -96,8 +91,7 @@ def _point_row(task: Task, asked: Asked, threads: int) -> RowCells:
             run = trajectory(task.ensemble, drive, **sampled)
             row = _averages_row(run.averages, run.lives, [])
         else:
-            options |= {"rel_error": asked.rel_error}
-            row = _steady_cells(task, drive, options, asked.exact)
+            row = _steady_cells(task, drive, options, asked)
     except MemoryError:  # the machine's fault, not the point's
         raise
     except Exception as error:
@@ -107,12 +101,12 @@ def _point_row(task: Task, asked: Asked, threads: int) -> RowCells:
 
 
 def _steady_cells(
-    task: Task, drive: Drive, options: RowCells, compares: bool
+    task: Task, drive: Drive, options: RowCells, asked: Asked
 ) -> RowCells:
-    sampled = steady(task.ensemble, drive, **options)
-    missed = f"relative error {options['rel_error']:g} was not reached"
+    sampled = steady(task.ensemble, drive, rel_error=asked.rel_error, **options)
+    missed = f"relative error {asked.rel_error:g} was not reached"
     row = _averages_row(sampled, sampled.lives, [] if sampled.reached else [missed])
-    if not compares:
+    if not asked.exact:
         return row
     try:
         exact = reference(task.ensemble, drive)
@@ -128,25 +122,21 @@ def _elastic(task: Task, drive: Drive | Programme, options: RowCells) -> RowCell
     ensemble, blocks = task.ensemble, drive.elastic
     assert blocks
     run = elastic_trajectory(ensemble, drive, **options)
-    friction, known = run.friction, None
-    if isinstance(drive, Drive) and not blocks.follows_events(ensemble.thermal.active):
-        known = reference(ensemble, replace(drive, elastic=None))
-    reliable = friction.reliable and run.size.reliable
-    row = _status(run.lives, [] if reliable else [_TOO_SHORT])
-    if known:
-        row |= {"reference_method": known.method}
-    row |= _filled("friction", friction, known.friction if known else None)
+    reliable = run.friction.reliable and run.size.reliable
+    row, friction = _status(run.lives, [] if reliable else [_TOO_SHORT]), None
     size = single = None
-    law = ensemble.thresholds
-    if (
-        known and not law.steps.size
-    ):  # equal thresholds break together: no law of sizes is known
-        few = missed_by_few(
-            law, blocks.branching, blocks.contacts_per_block(ensemble.count)
-        )
-        size = Estimate(blocks.mean_size, abs(few.mean), 0)
-        alone = float(size_law(law, blocks.branching, 1)[0])
-        single = Estimate(alone, abs(few.single), 0)
+    if isinstance(drive, Drive) and not blocks.follows_events(ensemble.thermal.active):
+        exact = reference(ensemble, replace(drive, elastic=None))
+        row["reference_method"], friction = exact.method, exact.friction
+        law, branching = ensemble.thresholds, blocks.branching
+        if not law.steps.size:  # else they break together: no law of sizes is known
+            few = missed_by_few(
+                law, branching, blocks.contacts_per_block(ensemble.count)
+            )
+            size = Estimate(blocks.mean_size, abs(few.mean), 0)
+            alone = float(size_law(law, branching, 1)[0])
+            single = Estimate(alone, abs(few.single), 0)
+    row |= _filled("friction", run.friction, friction)
     return row | _filled("size", run.size, size) | _filled("single", run.single, single)
 
 
@@ -156,17 +146,15 @@ def _programme(
     run = trajectory(task.ensemble, programme, **options)
     if isinstance(run, ChainTrajectory):
         return _chain_columns(run)
+    doubt, slips = "error bars of forces cannot be trusted", RowCells()
     if isinstance(run, SliderTrajectory):
         if programme.motor and run.force_replicas is not None:
-            return _motor_columns(run)
+            return _status(run.lives, []) | _late_force(run)
+        slips = _slip_columns(run)
         if programme.stage is None or len(programme.segments) == 1:
-            return _slip_columns(run)
-    doubt = "error bars of forces cannot be trusted"
-    if isinstance(run, SliderTrajectory):
+            return slips
         doubt += ": how far X scatters is known from 8 replicas on"
-    row = _status(run.lives, [] if run.force_reliable else [doubt])
-    if isinstance(run, SliderTrajectory):
-        row = _slip_columns(run) | row
+    row = slips | _status(run.lives, [] if run.force_reliable else [doubt])
     exact: tuple[SegmentRecord, ...] = ()
     method = "mean field" if programme.stage else "renewal equation in two times"
     try:
@@ -186,26 +174,21 @@ def _programme(
     return row
 
 
-def _motor_columns(run: SliderTrajectory) -> RowCells:
-    """Mean force of a motor over the second half of a run, with its error from the
-    scatter of replicas."""
-    assert run.force_replicas is not None
-    late = run.t > 0.5 * run.t[-1]
-    each = run.force_replicas[:, late].mean(axis=1)
-    force = mean_of(each, each.size, each.size - 1)
-    return _status(run.lives, []) | _filled("friction", force)
+def _late_force(run: SliderTrajectory | ChainTrajectory) -> RowCells:
+    """Columns of the mean force over the second half of a run, with its error from the
+    scatter of replicas; none of a single one."""
+    if run.force_replicas is None:
+        return {}
+    each = run.force_replicas[:, run.t > 0.5 * run.t[-1]].mean(axis=1)
+    return _filled("friction", mean_of(each, each.size, each.size - 1))
 
 
 def _chain_columns(run: ChainTrajectory) -> RowCells:
     """Columns of the events of a chain in which all blocks break, as slips, and of the
-    mean force over the second half, if several replicas tell its error."""
-    friction: RowCells = {}
-    if run.force_replicas is not None:
-        each = run.force_replicas[:, run.t > 0.5 * run.t[-1]].mean(axis=1)
-        friction = _filled("friction", mean_of(each, each.size, each.size - 1))
+    mean force."""
     whole = int(np.sum(run.events["blocks"] == run.chain.count))
     row = _status(run.lives, ["few slips"] if 0 < whole < ENOUGH_EVENTS else [])
-    row |= friction | {"slips": whole} | _filled("period", run.recurrence)
+    row |= _late_force(run) | {"slips": whole} | _filled("period", run.recurrence)
     return row | _filled("drop", run.drop)
 
 
@@ -214,8 +197,7 @@ def _slip_columns(run: SliderTrajectory) -> RowCells:
     slips, is no reason to distrust a row."""
     period, drop = run.period, run.drop
     few = not period.reliable and not period.n == drop.n == 0
-    row = _status(run.lives, ["few slips"] if few else [])
-    row |= {"slips": len(run.slips)}
+    row = _status(run.lives, ["few slips"] if few else []) | {"slips": len(run.slips)}
     return row | _filled("period", period) | _filled("drop", drop)
 
 

@@ -9,7 +9,6 @@ each finished row once. The metadata key `eqsim` holds the run file, the setting
 versions and the version of the schema.
 """
 
-import functools
 import hashlib
 import json
 import os
@@ -28,10 +27,10 @@ from eqsim.estimate import OBSERVABLES
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile, contents_of, keys, naming, parameters
 from eqsim.io.storage import SWEEP_HIDDEN, SWEEP_MANIFEST, SWEEP_PARTS, SWEEP_TABLE
-from eqsim.io.units import Quantity, quantities
+from eqsim.io.units import quantities
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
-from eqsim.sweeps.plan import Plan, entries, seed_of
+from eqsim.sweeps.plan import Plan, entries, seed_of, swept
 from eqsim.sweeps.rows import Asked
 
 try:
@@ -67,44 +66,38 @@ def schema(file: RunFile, changed: Collection[str] = ()) -> Any:
     fields |= {"kind": text, "status": text, "message": text}
     for name in OBSERVABLES:
         fields |= columns(name, "dof", "reliable", *exact)
-    for one in _quantities(file, Ensemble()):
+    converted = quantities(Ensemble(), file.units, file.interface)
+    for one in converted if not (file["drive.programme"] or file.pulled) else ():
         fields |= columns(one.column, "reference")
     for name in ("size", "single") if file["elastic"] else ():
         fields |= columns(name, "reference", "z")
     if file.pulled:
         fields |= {"slips": integer, **columns("period"), **columns("drop")}
-    for index in range(len(file["drive.programme"] or [])):
-        for name in (*OF_SEGMENT, *OF_STEP):
-            sure = ("reliable",) * (name in ("healing", "drop"))
-            fields |= columns(f"segment_{index}_{name}", *sure, *exact)
-            for one in quantities(Ensemble(), file.units, file.interface):
-                if _is_force(name):
-                    fields |= columns(
-                        f"segment_{index}_{name}_{one.column}", "reference"
-                    )
+    for name, is_force in _of_segments(file).items():
+        sure = ("reliable",) * name.endswith(("_healing", "_drop"))
+        fields |= columns(name, *sure, *exact)
+        for one in converted if is_force else ():
+            fields |= columns(f"{name}_{one.column}", "reference")
     fields |= {"reference_method": text, "lives": integer, "seed": integer}
     fields |= {"seconds": number, "eqsim_version": text}
     return pa.schema(list(fields.items()))
 
 
-def _quantities(file: RunFile, ensemble: Ensemble) -> tuple[Quantity, ...]:
-    """Quantities that friction is converted to; none of programmes without averages."""
-    programmed = file["drive.programme"] or file.pulled
-    return () if programmed else quantities(ensemble, file.units, file.interface)
-
-
-def _is_force(name: str) -> bool:
-    """True for an observable of a segment that is a force."""
-    return name not in ("at", "memory")
+def _of_segments(file: RunFile) -> dict[str, bool]:
+    """Columns of observables of segments, and whether each is a force."""
+    return {
+        f"segment_{index}_{name}": name not in ("at", "memory")
+        for index in range(len(file["drive.programme"] or []))
+        for name in (*OF_SEGMENT, *OF_STEP)
+    }
 
 
 def physical(file: RunFile, row: dict[str, Any]) -> dict[str, float]:
     """Columns of the forces of a point, friction or those of segments, in laboratory
     quantities; none of a point that failed."""
-    forces = {"friction": ""} | {
-        f"segment_{index}_{name}": f"segment_{index}_{name}_"
-        for index in range(len(file["drive.programme"] or []))
-        for name in filter(_is_force, (*OF_SEGMENT, *OF_STEP))
+    forces = {"friction": ""}
+    forces |= {
+        name: f"{name}_" for name, is_force in _of_segments(file).items() if is_force
     }
     known = [name for name in forces if row.get(name) is not None]
     if not known:
@@ -150,6 +143,7 @@ class Store:
             where = file.text, file.output.seed, file.folder
             origin = storage.provenance("sweep", settings, *where)
             origin |= {"schema": SCHEMA, "results_version": RESULTS_VERSION}
+            self.version = origin["versions"]["eqsim"]
             metadata = {"eqsim": storage.to_json(origin)}
             self.schema = schema(file, plan.changed).with_metadata(metadata)
             self.rows: list[dict[str, Any]] = []
@@ -205,7 +199,7 @@ class Store:
             return
         try:
             before = json.loads(path.read_bytes())["asked"]
-            known = {*now, *before} - plan.swept  # whatever the run file says of these
+            known = {*now, *before} - swept(plan.file)  # whatever its other values are
             changed = [key for key in sorted(known) if now.get(key) != before.get(key)]
         except (ValueError, KeyError, TypeError, AttributeError):
             said = "is damaged; this folder cannot be continued"
@@ -230,9 +224,7 @@ class Store:
         """Read the rows on disk; list and remove damaged files. Raises InputError for
         rows with other columns."""
         final = self.out / SWEEP_TABLE
-        self.parts = storage.sweep_parts(self.out)
-        self.complete = final.exists()
-        for path in [final] * self.complete + self.parts:
+        for path in [final] * final.exists() + storage.sweep_parts(self.out):
             content = path.read_bytes()
             whole = path == final or path.stem == f"part-{_digest(content)}"
             table = storage.from_parquet(content) if whole else None
@@ -245,8 +237,7 @@ class Store:
                 self.tables.append(table)
         for path in map(Path, self.damaged):
             path.unlink()
-        self.parts = [path for path in self.parts if path.exists()]
-        self.complete = final.exists()
+        self.parts, self.complete = storage.sweep_parts(self.out), final.exists()
         self.done = self._on_disk()
 
     def _on_disk(self) -> set[str]:
@@ -258,7 +249,7 @@ class Store:
         point_id, point = self.plan.ids[index], self.plan.at(index)
         row = {**parameters(point), **row, **physical(point, row)}
         row |= {"id": point_id, "seed": seed_of(point_id), "kind": self.kind}
-        self.rows.append(row | {"eqsim_version": _eqsim_version()})
+        self.rows.append(row | {"eqsim_version": self.version})
         self.done.add(point_id)
         if len(self.rows) >= _FLUSH_ROWS:
             self.flush()
@@ -326,8 +317,3 @@ class Store:
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:32]
-
-
-@functools.cache
-def _eqsim_version() -> str:
-    return storage.versions()["eqsim"]

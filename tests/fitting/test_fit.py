@@ -201,7 +201,7 @@ def test_two_populations_are_fitted(tmp_path):
     for key in list(truth)[:3]:
         assert found.values[key] == pytest.approx(truth[key], rel=3e-3, abs=0)
     assert found.goodness.chi2 < 1e-3
-    report.write_estimates(found, tmp_path / "out")
+    report.write(found, tmp_path / "out", final=False)
     best = load(tmp_path / "out" / "run.toml")
     assert best["population.1.share"] == found.values["population.1.share"]
 
