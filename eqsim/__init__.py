@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from eqsim.api import *  # noqa: F403
-    from eqsim.api import __all__ as __all__
 
     __version__: str
 else:
@@ -21,12 +20,14 @@ else:
             return metadata.version("eqsim")
         if not name.startswith("_") and find_spec(f"eqsim.{name}"):
             return import_module(f"eqsim.{name}")
-        private = name.startswith("__") and name != "__all__"
-        public = {} if private else vars(import_module("eqsim.api"))
-        if name not in ("__all__", *public.get("__all__", ())):
+        if name == "__all__":
+            public = vars(import_module("eqsim.api"))
+            return sorted(name for name in public if not name.startswith("_"))
+        if name.startswith("_") or name not in __getattr__("__all__"):
             raise AttributeError(f"module 'eqsim' has no attribute {name!r}")
-        globals()[name] = public[name]  # the next time Python finds it at once
-        return public[name]
+        # the next time Python finds it at once
+        globals()[name] = getattr(import_module("eqsim.api"), name)
+        return globals()[name]
 
     def __dir__():
-        return sorted([*import_module("eqsim.api").__all__, "__version__", "materials"])
+        return sorted([*__getattr__("__all__"), "__version__", "materials"])

@@ -141,14 +141,11 @@ def accepts_run_file(
 
     first, driven = signature.parameters["ensemble"], signature.parameters[second]
     given = " and ".join(f"`{name}`" for name in (second, *options))
-    return _presented(
-        call,
-        (function.__doc__ or "").replace(
-            _CONTACTS, _CONTACTS_OR_FILE.format(given=given)
-        ),
-        first.replace(annotation=Contacts),
-        driven.replace(annotation=driven.annotation | None, default=None),
-    )
+    either = _CONTACTS_OR_FILE.format(given=given)
+    text = (function.__doc__ or "").replace(_CONTACTS, either)
+    first = first.replace(annotation=Contacts)
+    driven = driven.replace(annotation=driven.annotation | None, default=None)
+    return _presented(call, text, first, driven)
 
 
 def accepts_changes(function: Callable[Concatenate[F, P], R]) -> FileCall[F, P, R]:

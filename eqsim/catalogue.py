@@ -32,9 +32,7 @@ def dimension(text: str) -> Dimension:
 
 def product(factors: list[tuple[str, int]], times: str = " ", per: str = "/") -> str:
     """Names to their powers, such as "nN s/m^2" or "1/s"; "" without any."""
-    texts = [
-        (name + f"^{abs(power)}" * (abs(power) > 1), power) for name, power in factors
-    ]
+    texts = [(f"{name}^{abs(n)}" if abs(n) > 1 else name, n) for name, n in factors]
     above = times.join(text for text, power in texts if power > 0)
     below = "".join(per + text for text, power in texts if power < 0)
     return (above or "1" * bool(below)) + below
@@ -51,32 +49,17 @@ AREA = dimension("length^2")
 
 
 class Entry(NamedTuple):
-    """A key or a column.
+    """A key or a column; what it does not have is "". `default` and `values` are those of
+    the documentation, where the program's own default and type say too little."""
 
-    Attributes
-    ----------
-    words, symbol : str
-        What pictures call it; the symbol is in mathtext. "" if it has none.
-    dimension : Dimension
-        That of its unit.
-    fixed_unit : str
-        Its unit, if it is always the same.
-    meaning : str
-        Its meaning in full, for the documentation (Markdown) and exported tables.
-    default, values : str
-        For the documentation, where the program's own default and type say too little.
-    since : str
-        The version with which a key came, if that was after 0.1.
-    """
-
-    words: str = ""
-    symbol: str = ""
-    dimension: Dimension = NUMBER
-    fixed_unit: str = ""
-    meaning: str = ""
+    words: str = ""  # what pictures call it
+    symbol: str = ""  # in mathtext
+    dimension: Dimension = NUMBER  # of its unit
+    fixed_unit: str = ""  # its unit, if it is always the same
+    meaning: str = ""  # in full, for the documentation (Markdown) and exported tables
     default: str = ""
     values: str = ""
-    since: str = ""
+    since: str = ""  # the version with which a key came, if that was after 0.1
 
     @property
     def mathtext(self) -> str:

@@ -2,16 +2,38 @@
 allowed."""
 
 import difflib
+import functools
 import math
 import reprlib
+import types
+import typing
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import is_dataclass
 from importlib import import_module
-from typing import Any
+from typing import Annotated, Any, Literal, NamedTuple
 
 # Bounds of dimensional quantities: their products stay finite.
 POSITIVE = {"above": 0.0, "least": 1e-100, "most": 1e100}
 NOT_NEGATIVE = {"least": 0.0, "most": 1e100}
+
+
+class Limits(NamedTuple):
+    """Bounds of a number, in the type of a field of a `Checked` dataclass."""
+
+    least: float | None = None
+    most: float = math.inf
+    above: float | None = None
+
+    def __repr__(self) -> str:
+        lower = [] if self.above is None else [f"> {self.above:g}"]
+        lower += [] if self.least is None else [f">= {self.least:g}"]
+        upper = [f"<= {self.most:g}"] if math.isfinite(self.most) else []
+        return " and ".join([", ".join(lower), *upper])
+
+
+Positive = Annotated[float, Limits(**POSITIVE)]
+NotNegative = Annotated[float, Limits(**NOT_NEGATIVE)]
 
 
 class InputError(ValueError):
@@ -87,9 +109,6 @@ def require_number(
 ) -> None:
     """Raise InputError unless `value` is a finite real number greater than `above`, not
     less than `least` and not more than `most`."""
-    lower = [] if above is None else [f" > {above:g}"]
-    lower += [] if least is None else [f" >= {least:g}"]
-    upper = f" and <= {most:g}" if math.isfinite(most) else ""
     try:  # an array of one number passes for a float, but cannot be hashed
         ok = type(value).__hash__ is not None and math.isfinite(value)
         ok = ok and (above is None or value > above)
@@ -97,7 +116,7 @@ def require_number(
     except (TypeError, OverflowError):
         ok = False
     if not ok:
-        allowed = f"a finite number{','.join(lower)}{upper}"
+        allowed = f"a finite number {Limits(least, most, above)!r}".rstrip()
         raise InputError(f"{field} = {shown(value)}: must be {allowed}")
 
 
@@ -115,3 +134,43 @@ def require_choice(field: str, value: str, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
         listed = ", ".join(f'"{name}"' for name in allowed)
         raise InputError(f"{field} = {shown(value)}: must be one of {listed}")
+
+
+class Checked:
+    """Base of frozen dataclasses whose fields are checked when one is made, by their
+    types: a number is finite and within its `Limits`, a `Literal` one of its choices,
+    and a dataclass is one, unless they have their defaults. Raises InputError."""
+
+    def __post_init__(self) -> None:
+        kind: Any = type(self)
+        for field, hint in _field_types(kind).items():
+            value, default = getattr(self, field), getattr(kind, field, ...)
+            usual = value == default if isinstance(value, float) else value is default
+            if not usual:
+                _require(field, value, hint)
+
+
+@functools.cache
+def _field_types(kind: Any) -> dict[str, Any]:
+    """The types of the fields of a dataclass, of a union the first one."""
+    hints = typing.get_type_hints(kind, include_extras=True).items()
+    unions = types.UnionType, typing.Union
+    return {
+        field: typing.get_args(hint)[0] if typing.get_origin(hint) in unions else hint
+        for field, hint in hints
+        if typing.get_origin(hint) is not typing.ClassVar
+    }
+
+
+def _require(field: str, value: Any, hint: Any) -> None:
+    """Raise InputError unless the value of a field fits its type."""
+    origin, given = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Literal:
+        require_choice(field, value, given)
+    elif origin is Annotated and given[0] is int:
+        require_integer(field, value, given[1].least, given[1].most)
+    elif hint is float or origin is Annotated:
+        limits = given[1] if given else Limits()
+        require_number(field, value, **limits._asdict())
+    elif isinstance(hint, type) and is_dataclass(hint) and not isinstance(value, hint):
+        raise InputError(f"{field} = {shown(value)}: must be {hint.__name__}(...)")

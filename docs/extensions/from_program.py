@@ -5,6 +5,7 @@ from typing import Any
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
+import eqsim
 from eqsim import api
 
 
@@ -40,9 +41,9 @@ class PublicNames(SphinxDirective):
                 *(["   :members:"] if kind == "autoclass" else []),
                 "```",
             ]
-        if sorted(named) != sorted(api.__all__):
+        if sorted(named) != sorted(eqsim.__all__):
             raise self.error(
-                f"public names and this page differ in {sorted(set(named) ^ set(api.__all__))}"
+                f"public names and this page differ in {sorted(set(named) ^ set(eqsim.__all__))}"
             )
         return self.parse_text_to_nodes("\n".join(lines), allow_section_headings=True)
 

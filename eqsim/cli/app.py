@@ -71,9 +71,8 @@ def _show_version(asked: bool) -> None:
         raise typer.Exit
 
 
-_Version = typer.Option(
-    "--version", callback=_show_version, is_eager=True, help="Show the version."
-)
+_SHOW = "Show the version."
+_Version = typer.Option("--version", callback=_show_version, is_eager=True, help=_SHOW)
 
 
 def _top(version: Annotated[bool, _Version] = False) -> None:

@@ -9,11 +9,12 @@ from typing import Annotated, Any
 from typer import Argument, Exit, Option
 
 from eqsim.cli.options import Shown, Threads, cores
-from eqsim.errors import InputError, require_integer
+from eqsim.errors import require_integer
 from eqsim.io import storage
 from eqsim.lazy import lazily
 
 with lazily():
+    from eqsim import validation as comparing
     from eqsim.io import export as tables
     from eqsim.workflows import replay as repeating
     from eqsim.workflows import validation
@@ -45,17 +46,15 @@ def validate(
     count = cores(threads)
     storage.check_folder(out)
     with shown.bar("validating", "points") as progress:
-        result = validation.validated(suite, seed, count, progress)
-    shown.result(result, suite, out)
-    if not result.found.passed:
+        how: dict[str, Any] = {"threads": count, "progress": progress}
+        found = comparing.validate(suite, seed=seed, **how)
+    shown.result(validation.ValidationResult(found), suite, out)
+    if not found.passed:
         raise Exit(1)
 
 
 def replay(
-    path: Annotated[Path, _File],
-    threads: Threads = None,
-    *,
-    shown: Shown,
+    path: Annotated[Path, _File], threads: Threads = None, *, shown: Shown
 ) -> None:
     """Repeat the call that made a file, from its provenance alone, and compare bit by
     bit; exit code 1 if they differ."""
@@ -66,9 +65,8 @@ def report_replay(path: Path, workers: int, shown: Shown, others: Any = None) ->
     """Replay a table and print where the two differ; `others` repeat tables of other
     programs (`workflows.replay`). Raises Exit if they differ."""
     with shown.bar("repeating", "units") as progress:
-        found = repeating.replay(
-            path, workers=workers, progress=progress, others=others
-        )
+        how: dict[str, Any] = {"progress": progress, "others": others}
+        found = repeating.replay(path, workers=workers, **how)
     shown.report({**asdict(found), "same": found.same}, notes=_compared(path, found))
     if not found.same:
         raise Exit(1)
@@ -99,10 +97,8 @@ def export(
     alone = out if out and len(found) == 1 and not out.is_dir() else None
     beside = dataset.absolute().parent if sweep else dataset
     folder = alone.parent if alone else out or beside
-    if sweep and folder.resolve().is_relative_to(dataset.resolve()):
-        raise InputError(
-            f"--out {out}: must be outside {dataset}, where everything is read as points"
-        )
+    if sweep:
+        storage.check_outside(dataset, folder, out)
     storage.check_folder(folder)
     files = {
         alone.name if alone else f"{name}.csv": tables.as_csv(parts)

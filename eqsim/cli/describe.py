@@ -50,10 +50,8 @@ def info(
     if stage and (machine := surface.machine_stiffness(file, stage["stiffness"])):
         found.append(groups.Group("K", machine, "stiffness of the machine"))
     shown.doubt(file, drive)
-    rows = [
-        (g.name, g.value if isinstance(g.value, str) else f"{g.value:.6g}", g.meaning)
-        for g in found
-    ]
+    texts = (x.value if isinstance(x.value, str) else f"{x.value:.6g}" for x in found)
+    rows = [(g.name, text, g.meaning) for g, text in zip(found, texts, strict=True)]
     shown.report(
         {**{group.name: group.value for group in found}, "lives": lives},
         title=file.headline(path.stem),
@@ -63,26 +61,21 @@ def info(
     )
 
 
-_SECTION = Argument(
-    metavar="[SECTION|KEY]", help="A section, such as thermal; or one key, thermal.kT."
-)
+_SECTION_OR_KEY = "A section, such as thermal; or one key, thermal.kT."
+_SECTION = Argument(metavar="[SECTION|KEY]", help=_SECTION_OR_KEY)
 
 
-def keys(
-    name: Annotated[str | None, _SECTION] = None,
-    *,
-    shown: Shown,
-) -> None:
+def keys(name: Annotated[str | None, _SECTION] = None, *, shown: Shown) -> None:
     """Sections of a run file, or the keys of one: defaults, values and meanings."""
     sections = catalogue.SECTIONS
     if name is None:
-        rows = [
-            (f"[{section}]" if section else "", _in_plain_text(about["about"]))
-            for section, about in sections.items()
-        ]
+        told = {
+            f"[{name}]" * bool(name): about["about"] for name, about in sections.items()
+        }
+        told = {name: _in_plain_text(about) for name, about in told.items()}
         notes = ["`eqsim keys SECTION` lists the keys of a section"]
         columns = "section", "meaning"
-        shown.report(dict(rows), columns=columns, rows=rows, notes=notes)
+        shown.report(told, columns=columns, rows=told.items(), notes=notes)
         return
     name = name.strip("[]")
     section, _, last = (name, "", "") if name in sections else name.rpartition(".")
@@ -132,9 +125,8 @@ def material(
         return
     for option, value in (("--disorder", disorder), ("--velocity", velocity)):
         if value is not None:
-            raise InputError(
-                f"{option} {value}: is for the run file that --toml prints"
-            )
+            said = "is for the run file that --toml prints"
+            raise InputError(f"{option} {value}: {said}")
     rows = materials.parameters(found, kelvin)
     shown.report(
         {row.name: row.value for row in rows},
@@ -146,8 +138,7 @@ def material(
 
 
 def _material(name: str, changes: dict[str, Any]) -> "materials.Material":
-    """A preset, the material of a TOML file, or one that is all in the `changes`.
-    Raises InputError."""
+    """A preset, a material of a TOML file, or of `changes` alone. Raises InputError."""
     known = materials.preset(name)
     if known is not None:
         constants = materials.constants_of(known)
@@ -159,16 +150,9 @@ def _material(name: str, changes: dict[str, Any]) -> "materials.Material":
         _, constants = runfile.read_toml(Path(name))
     else:
         kinds = " or ".join(f'"{kind}"' for kind in materials.KINDS)
-        known_names = f"{_PRESETS}, a TOML file of constants"
-        raise InputError(
-            f"NAME = {short(name)}: must be {known_names}, or {kinds} with all of them as --set KEY=VALUE"
-        )
+        given = f"{_PRESETS}, a TOML file of constants, or {kinds}"
+        said = f"must be {given} with all of them as --set KEY=VALUE"
+        raise InputError(f"NAME = {short(name)}: {said}")
     for key, value in changes.items():
-        *sections, last = key.split(".")
-        table = constants
-        for section in sections:
-            table = table.setdefault(section, {})
-            if not isinstance(table, dict):
-                raise InputError(f"{key}: {section} is not a section")
-        table[last] = value
+        runfile.put(constants, key, value)
     return materials.from_constants(constants, Path(name).stem)

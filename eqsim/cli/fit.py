@@ -37,16 +37,14 @@ _COMPARE = (
     "Another model of the same data: its chi-square, AICc and BIC beside this one's. "
     "Of a record also rate-and-state, with both laws of its state."
 )
-_POSTERIOR = (
-    "Draw from the posterior, too: posterior.parquet and a picture. "
-    "Needs eqsim[posterior]."
-)
+_POSTERIOR = "Draw from the posterior, too: posterior.parquet and a picture. Needs eqsim[posterior]."
 _CHECK = "Read and draw the measurements, and say how they were understood; no fit."
 _Compare = Option(metavar="OTHER.toml|rate-and-state", help=_COMPARE)
 _Data = Option(metavar="DATA.csv", help="Measurements, instead of fit.data.")
 _Fitted = Option("--fit", metavar="DIR", help="Folder of the fit.", show_default=False)
 _KEY = "The key to be known better."
 _Key = Option("--for", metavar="KEY", help=_KEY, show_default=False)
+_Range = Option(metavar="LOW,HIGH", help=_VELOCITY_RANGE)
 _Kelvin = Option(metavar="LOW,HIGH", help=_TEMPERATURE)
 _Next = Option("--next", help="Number of measurements, chosen one after the other.")
 _LAW = '"slip" (Ruina), "aging" (Dieterich) or "both" laws of the state.'
@@ -54,10 +52,7 @@ _STIFFNESS = (
     "Stiffness of the machine, in the record's unit per length. Default: "
     "fit.record.machine_stiffness, else free."
 )
-_TREND = (
-    'Friction changes in proportion to the "displacement" of the load point, to '
-    '"time", or not ("none").'
-)
+_TREND = 'Friction changes in proportion to the "displacement" of the load point, to "time", or not ("none").'
 _VELOCITIES = (
     "Of a CSV file: velocities of the load point, one after the other; 0: a hold."
 )
@@ -70,10 +65,7 @@ _NOISE = "Of a CSV file: standard error of every point, in quadrature to the fil
 _RSF_FOLDER = "Folder for rate-and-state.json, its table and its picture of residuals."
 _RECORD = "CSV file of a record, or a run file with fit.record."
 _Record = Argument(metavar="RECORD", help=_RECORD, show_default=False)
-_EXPECTED = (
-    "expected by the Fisher information at the best fit, for errors like those of the "
-    "data"
-)
+_EXPECTED = "expected by the Fisher information at the best fit, for errors like those of the data"
 
 
 @dataclass(frozen=True)
@@ -116,14 +108,12 @@ def fit(
         rivals = _both_laws(file, options.data)
     elif options.compare is not None:
         other = runfile.load(options.compare)
+    keep = fitting.Keep(out, partial(_tell_estimates, out, shown))
     with shown.bar("fitting", "fits") as progress:
         how: dict[str, Any] = {"allow_degenerate": options.allow_degenerate}
-        how |= {"workers": count, "progress": progress}
-        how["keep"] = fitting.Keep(out, partial(_tell_estimates, out, shown))
+        how |= {"workers": count, "progress": progress, "keep": keep}
         found = fitting.fit(file, data=options.data, starts=options.starts, **how)
-        rival = None
-        if other is not None:
-            rival = fitting.compared(found, other, options.starts)
+        rival = fitting.compared(found, other, options.starts) if other else None
     files = report.write(found, out, path.stem)
     lines, sampled = list(report.remarks(found)), None
     if options.posterior:
@@ -131,9 +121,8 @@ def fit(
             sampled = posterior.posterior(found, workers=count, progress=progress)
         files += report.write_posterior(found, sampled, out, path.stem)
         lines += report.drawn(sampled)
-    data = report.summary(found, sampled)
+    data, cells = report.summary(found, sampled), report.rows(found)
     columns: tuple[str, ...] = report.KEY_COLUMNS
-    cells = report.rows(found)
     if rival is not None:
         data["compare"] = {"file": str(options.compare), **rival._asdict()}
         lines.insert(1, report.quality(str(options.compare), rival))
@@ -143,13 +132,8 @@ def fit(
         lines[1:1] = report.model_remarks(models)
         files += report.write_compared(models, out, file.title or path.stem)
         columns, cells = ("model", *columns), report.model_rows(models)
-    shown.report(
-        data,
-        title=file.title or path.stem,
-        columns=columns,
-        rows=cells,
-        notes=[*lines, f"{out}/: {', '.join(files)}"],
-    )
+    title, lines = file.title or path.stem, [*lines, f"{out}/: {', '.join(files)}"]
+    shown.report(data, title=title, columns=columns, rows=cells, notes=lines)
     if found.rejected or not found.converged:
         raise Exit(1)
 
@@ -195,10 +179,8 @@ def _both_laws(
     elif "fit.drift" in given.free:
         trend = "time"
     how: dict[str, Any] = {"data": data, "trend": trend}
-    return {
-        f"{law} law": rate_and_state.fit_rate_and_state(file, law, **how)
-        for law in rate_and_state.LAWS
-    }
+    solve: Any = partial(rate_and_state.fit_rate_and_state, file, **how)
+    return {f"{law} law": solve(law) for law in rate_and_state.LAWS}
 
 
 @dataclass(frozen=True)
@@ -215,18 +197,12 @@ class RecordOptions:
     noise: Annotated[float, Option(help=_NOISE)] = 0.0
 
     def record(self, path: Path, changes: Changes) -> "runfile.RunFile":
-        """The run file of a record: `path`, or made from the CSV file that it is.
-        Raises InputError."""
-        given = {
-            "--velocity": self.velocity,
-            "--at": self.at,
-            "--columns": self.columns,
-        }
+        """The run file of a record, which may be a CSV file. Raises InputError."""
         if path.suffix.lower() == ".toml":
-            for option, value in given.items():
-                if value is not None:
+            for name in ("velocity", "at", "columns"):
+                if (value := getattr(self, name)) is not None:
                     said = "only of a CSV file; a run file says it itself"
-                    raise InputError(f"{option} {value}: {said}")
+                    raise InputError(f"--{name} {value}: {said}")
             return changes.load(path)
         if changes.given():
             raise InputError("--set, --seed: change a run file, and this is a record")
@@ -271,24 +247,18 @@ def rsf(
     laws = [law for law in rate_and_state.LAWS if options.law in ("both", law)]
     how: dict[str, Any] = {"stiffness": options.stiffness, "trend": options.trend}
     how |= {"starts": options.starts, "workers": count}
-    models = {}
+    solve: Any = partial(rate_and_state.fit_rate_and_state, file, **how)
+    models: dict[str, fitting.FitResult] = {}
     for law in laws:
         with shown.bar(f"{law} law", "fits") as progress:
-            found = rate_and_state.fit_rate_and_state(
-                file, law, progress=progress, **how
-            )
-        models[f"{law} law"] = found
+            found = models[f"{law} law"] = solve(law, progress=progress)
     notes = [*report.model_remarks(models), f"data: {'; '.join(found.table.said)}"]
     if out is not None:
         files = report.write_compared(models, out, title)
         notes.append(f"{out}/: {', '.join(files)}")
-    shown.report(
-        report.summaries(models),
-        title=title,
-        columns=("law", *report.KEY_COLUMNS),
-        rows=report.model_rows(models),
-        notes=notes,
-    )
+    data, rows = report.summaries(models), report.model_rows(models)
+    columns = ("law", *report.KEY_COLUMNS)
+    shown.report(data, title=title, columns=columns, rows=rows, notes=notes)
     if not all(one.converged and not one.rejected for one in models.values()):
         raise Exit(1)
 
@@ -300,9 +270,7 @@ class DesignOptions:
     fitted: Annotated[Path, _Fitted]
     key: Annotated[str, _Key]
     count: Annotated[int, _Next] = 4
-    velocity: Annotated[
-        str | None, Option(metavar="LOW,HIGH", help=_VELOCITY_RANGE)
-    ] = None
+    velocity: Annotated[str | None, _Range] = None
     temperature: Annotated[str | None, _Kelvin] = None
 
     def limits(self, name: str) -> "designing.Limits | None":
@@ -311,7 +279,7 @@ class DesignOptions:
         if text is None:
             return None
         try:
-            low, high = (float(part) for part in text.split(","))
+            low, high = map(float, text.split(","))
         except ValueError:
             said = "must be two numbers, LOW,HIGH"
             raise InputError(f"--{name} {text}: {said}") from None

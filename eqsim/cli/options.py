@@ -36,10 +36,8 @@ Threads = Annotated[
 Processes = Annotated[
     int | None, Option(help="Processes on this machine. Default: all cores.")
 ]
-_Lives = Option(
-    help="Refuse work that needs more lives than this.", show_default="1e10"
-)
-MaxLives = Annotated[float, _Lives]
+_MOST = "Refuse work that needs more lives than this."
+MaxLives = Annotated[float, Option(help=_MOST, show_default="1e10")]
 _FORMATS = "Pictures also as pdf or svg, beside png; repeatable."
 _Format = Option("--format", metavar="FORMAT", help=_FORMATS)
 Formats = Annotated[list[str] | None, _Format]
@@ -115,8 +113,7 @@ class Shown:
         out: Path | None = None,
         formats: tuple[str, ...] = ("png",),
     ) -> None:
-        """Print a result, titled `name` if it has no title, and write its files to `out`,
-        if given."""
+        """Print a result, titled `name` without a title; write files to `out`."""
         more = []
         if out is not None:
             with self.bar(result.phase):
@@ -145,12 +142,10 @@ def typed(message: str) -> str:
 
 
 def results_folder(path: Path, out: Path | None) -> Path:
-    """Folder for the results of a run file: `out`, or out/NAME beside the file. Raises
-    InputError."""
+    """Folder for results: `out`, or out/NAME beside the run file. Raises InputError."""
     if out is None and not path.is_file():
-        raise InputError(
-            f"--out: is required, because {path} is not a file with a folder of its own"
-        )
+        why = f"because {path} is not a file with a folder of its own"
+        raise InputError(f"--out: is required, {why}")
     return out or path.parent / "out" / path.stem
 
 
@@ -174,10 +169,9 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     """Make a command for typer: where `command` takes a dataclass, the dataclass's
     fields are options. Brackets in help, as of a [section], are no markup."""
     given = inspect.signature(command).parameters
+    annotations: dict[str, Any] = {name: one.annotation for name, one in given.items()}
     kinds: dict[str, Any] = {
-        name: parameter.annotation
-        for name, parameter in given.items()
-        if is_dataclass(parameter.annotation)
+        name: kind for name, kind in annotations.items() if is_dataclass(kind)
     }
     fields = {name: inspect.signature(kind).parameters for name, kind in kinds.items()}
 
@@ -211,8 +205,7 @@ _path.__name__ = "path"  # the type that help shows
 
 
 def _escaped(annotation: Any) -> Any:
-    """Annotate an option or argument so that its help shows as written, and an empty
-    path is refused."""
+    """Let help show what an option takes as written, and refuse an empty path."""
     kind, given = get_args(annotation)
     shown = copy.copy(given)
     shown.help = escape(given.help or "")

@@ -6,18 +6,8 @@ from typing import Annotated, Any
 
 from typer import Option
 
-from eqsim.cli.options import (
-    Changes,
-    Formats,
-    MaxLives,
-    RunFilePath,
-    Shown,
-    Threads,
-    complain,
-    cores,
-    pictured,
-    results_folder,
-)
+from eqsim.cli import options as shared
+from eqsim.cli.options import Changes, RunFilePath, Shown, Threads, cores
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.io import storage, terminal
 from eqsim.lazy import lazily
@@ -68,7 +58,7 @@ class Split:
 class Work:
     """Options of how much a run computes."""
 
-    max_lives: MaxLives = 1e10
+    max_lives: shared.MaxLives = 1e10
     no_exact: Annotated[bool, Option("--no-exact", help=_NO_EXACT)] = False
 
 
@@ -80,20 +70,19 @@ def run(
     threads: Threads = None,
     split: Split,
     work: Work,
-    format_: Formats = None,
+    format_: shared.Formats = None,
     shown: Shown,
 ) -> None:
     """Simulate the ensemble contact by contact: friction force against displacement."""
     file = changes.load(path)
     require_number("--max-lives", work.max_lives, above=0)
-    folder = results_folder(path, out)
+    folder = shared.results_folder(path, out)
     storage.check_folder(folder)
-    count, workers, formats = cores(threads), split.chosen(), pictured(format_)
+    count, workers, formats = cores(threads), split.chosen(), shared.pictured(format_)
     with shown.bar("simulating", "lives") as progress:
         how: dict[str, Any] = {"max_lives": work.max_lives, "progress": progress}
         how |= {"exact": not work.no_exact, "threads": count, "workers": workers}
-        how["keep"] = folder
-        found = running.run(file, **how)
+        found = running.run(file, **how, keep=folder)
     shown.doubt(file, file.drive)
     for line in file.said:
         shown.note(line)
@@ -106,7 +95,7 @@ def steady(
     *,
     changes: Changes,
     threads: Threads = None,
-    max_lives: MaxLives = 1e10,
+    max_lives: shared.MaxLives = 1e10,
     shown: Shown,
 ) -> None:
     """Steady friction, pinned fraction and stretch at breaking, to a requested relative
@@ -115,11 +104,12 @@ def steady(
     with shown.bar("simulating", "lives") as progress:
         announced = terminal.announcing(progress, shown.note)
         how: dict[str, Any] = {"max_lives": max_lives, "progress": announced}
-        how |= {"rel_error": rel_error, "threads": cores(threads)}
-        found = averages.simulated(file, **how)
+        found = averages.simulated(
+            file, **how, rel_error=rel_error, threads=cores(threads)
+        )
     shown.doubt(file)
     if not found.steady.reached and not shown.quiet:
-        complain(f"relative error {rel_error:g} was not reached")
+        shared.complain(f"relative error {rel_error:g} was not reached")
     shown.result(found, path.stem)
 
 
@@ -131,7 +121,7 @@ def reference(
     *,
     changes: Changes,
     threads: Threads = None,
-    format_: Formats = None,
+    format_: shared.Formats = None,
     shown: Shown,
 ) -> None:
     """Exact averages from the master equation, without random numbers."""
@@ -139,9 +129,8 @@ def reference(
         raise InputError("--transient, --closure: only one of them")
     for option, given in (("--out", out), ("--format", format_)):
         if given and not (transient or closure):
-            raise InputError(
-                f"{option}: is for the table and the picture of --transient or --closure"
-            )
+            said = "is for the table and the picture of --transient or --closure"
+            raise InputError(f"{option}: {said}")
     file = changes.load(path)
     cores(threads)
     if not (transient or closure):
@@ -149,8 +138,8 @@ def reference(
         shown.doubt(file)
         shown.result(found, path.stem)
         return
-    formats = pictured(format_)
-    folder = None if shown.json and out is None else results_folder(path, out)
+    formats = shared.pictured(format_)
+    folder = None if shown.json and out is None else shared.results_folder(path, out)
     if folder is not None:
         storage.check_folder(folder)
     shown.result(curve.curve(file, closure=closure), path.stem, folder, formats)

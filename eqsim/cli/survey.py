@@ -72,9 +72,8 @@ def sweep(
     for key in sorted(given.keys() & plan.swept(file)):
         said = f"the [sweep] table sets {key} at every point; --set sweep.{key}=[...] sets other values there"
         raise InputError(f"{given[key][1]}: has no effect, {said}")
-    asked = rows.Asked(
-        options.rel_error, max_lives, options.transient, not options.no_exact
-    )
+    exact = not options.no_exact
+    asked = rows.Asked(options.rel_error, max_lives, options.transient, exact)
     stores: list[store.Store] = []
     try:
         points = plan.Plan(file)
@@ -155,10 +154,7 @@ def plot(
     file = picture.out or folder.absolute().parent / f"{name}{which}.png"
     if file.suffix not in (".png", ".pdf", ".svg"):
         raise InputError(f"--out {file}: must end in .png, .pdf or .svg")
-    if file.resolve().is_relative_to(folder.resolve()):
-        raise InputError(
-            f"--out {file}: must be outside {folder}, where everything is read as points"
-        )
+    storage.check_outside(folder, file, file)
     storage.check_folder(file.parent)
     found = sweeps.read_sweep(folder)
     printed = sweeps.PRINTED | export.RENAMED_COLUMNS

@@ -74,8 +74,7 @@ class Sheet:
 
     @property
     def headless(self) -> bool:
-        """True if the first line begins with a number, so that it is a row and no
-        names."""
+        """True if the first line begins with a number: it is a row and no names."""
         return bool(_LIKE_A_NUMBER.match(self.columns[0]))
 
     @property
@@ -125,14 +124,8 @@ class Sheet:
 
 def read(path: Path, field: str, decimal: str | None = None) -> Sheet:
     """Read a CSV file, which `field` names in messages; its decimal sign is seen unless
-    it is given.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, is no text in UTF-8 or Latin-1, or has no first line with
-        names.
-    """
+    it is given. Raises InputError if it cannot be read, is no text in UTF-8 or Latin-1,
+    or has no first line with names."""
     content, encoding = _content(path, field), "utf-8-sig"
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(f"{field}: is text in UTF-16; must be in UTF-8")
@@ -161,16 +154,12 @@ def read(path: Path, field: str, decimal: str | None = None) -> Sheet:
         names = _names(above.strip(), separator)
         if len(names) == len(columns) and not _numbers(names, "."):
             return replace(sheet, columns=names, first=first - 1)
-    units, row = (line.replace('"', "").split(separator) for line in (lines * 3)[1:3])
-    units = [unit.strip() for unit in units]
-    are_units = any(units) and all(map(_UNIT.fullmatch, units))
-    if (
-        are_units
-        and len(lines) > 2
-        and not _numbers(units, sign)
-        and _numbers(row, sign)
-    ):
-        return replace(sheet, first=head[1][0], units=True)
+    if len(lines) > 2:
+        units, row = (line.replace('"', "").split(separator) for line in lines[1:3])
+        units = [unit.strip() for unit in units]
+        are_units = any(units) and all(map(_UNIT.fullmatch, units))
+        if are_units and not _numbers(units, sign) and _numbers(row, sign):
+            return replace(sheet, first=head[1][0], units=True)
     return sheet
 
 
@@ -220,8 +209,7 @@ def _numbers(cells: list[str], decimal: str) -> int:
 
 
 def _pointed(cell: str) -> str:
-    """A cell with a decimal point for a decimal comma; one that has a point already is
-    no number."""
+    """A cell with a decimal point for its comma; one that has both is no number."""
     if not _LIKE_A_NUMBER.match(cell):
         return cell
     mixed = " (a point among decimal commas)" * ("." in cell)
@@ -303,10 +291,9 @@ def _cell_pattern(separator: str) -> re.Pattern[str]:
 
 def _cells(line: str, separator: str) -> list[str]:
     """The cells of a line. Raises InputError for a quote that is not closed."""
-    if separator == " " and '"' not in line:
-        return line.split()
     if '"' not in line:
-        return [cell.strip() for cell in line.split(separator)]
+        between = None if separator == " " else separator
+        return [cell.strip() for cell in line.split(between)]
     if separator == " ":
         outside, separator = r'[ \t]+(?=(?:[^"]*"[^"]*")*[^"]*$)', "\0"
         line = re.sub(outside, separator, line.strip())

@@ -8,14 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from eqsim.errors import InputError
-from eqsim.io import csv, labels
-from eqsim.io.storage import (
-    SWEEP_HIDDEN,
-    SWEEP_MANIFEST,
-    SWEEP_PARTS,
-    read_parquet,
-    sweep_files,
-)
+from eqsim.io import csv, labels, storage
 from eqsim.io.units import Units
 
 # Columns that sweeps of version 1 of the schema call otherwise: there `force` was no
@@ -33,8 +26,7 @@ _SETTINGS = {"sweep": "sweep", "fluctuations": "run"}
 def meaning(
     column: str, units: Units = _UNKNOWN, command: str = "", fractions: bool = False
 ) -> str:
-    """Meaning of a column of a table of a `command`, with its unit; "" where its name
-    says it all."""
+    """The meaning of a column of a table of a `command`, with its unit, or ""."""
     if command == "sweep":
         column = RENAMED_COLUMNS.get(column, column)
     words, unit = labels.column(column, units, fractions)
@@ -52,7 +44,7 @@ def tables(path: Path) -> dict[str, list[Path]]:
         return {path.stem: [path]} if sweep is None else tables(sweep)
     if not path.is_dir():
         raise InputError(f"{path}: is neither a file nor a folder")
-    rows = sweep_files(path)
+    rows = storage.sweep_files(path)
     if rows is not None:
         if not rows:
             raise InputError(f"{path}: is a sweep of which no point is on disk yet")
@@ -64,12 +56,11 @@ def tables(path: Path) -> dict[str, list[Path]]:
 
 
 def sweep_of(path: Path) -> Path | None:
-    """The folder of the sweep that a Parquet file belongs to; None if it belongs to
-    none."""
+    """The folder of the sweep that a Parquet file belongs to, if it does."""
     folder = path.absolute().parent
-    inside = folder.name in (SWEEP_PARTS, SWEEP_HIDDEN)
+    inside = folder.name in (storage.SWEEP_PARTS, storage.SWEEP_HIDDEN)
     for sweep in (folder.parent, folder) if inside else (folder,):
-        if (sweep / SWEEP_MANIFEST).exists():
+        if (sweep / storage.SWEEP_MANIFEST).exists():
             return sweep
     return None
 
@@ -79,7 +70,7 @@ def as_csv(paths: list[Path]) -> bytes:
     import pyarrow
 
     try:
-        parts = [read_parquet(path.read_bytes()) for path in paths]
+        parts = [storage.read_parquet(path.read_bytes()) for path in paths]
         table = pyarrow.concat_tables(parts)
         origin = json.loads((table.schema.metadata or {}).get(b"eqsim", b"{}"))
     except OSError as error:
@@ -123,8 +114,8 @@ def _units(settings: dict[str, Any]) -> Units:
 def _unfinished(paths: list[Path], rows: int) -> list[str]:
     """Remarks on a sweep whose rows are not all there."""
     with suppress(OSError, ValueError, KeyError, TypeError):
-        if paths[0].parent.name in (SWEEP_PARTS, SWEEP_HIDDEN):
-            manifest = (paths[0].parent.parent / SWEEP_MANIFEST).read_bytes()
+        if paths[0].parent.name in (storage.SWEEP_PARTS, storage.SWEEP_HIDDEN):
+            manifest = (paths[0].parent.parent / storage.SWEEP_MANIFEST).read_bytes()
             planned = json.loads(manifest)["points"]
             return [f"{rows} of {planned} points: the sweep is not finished"]
     return []

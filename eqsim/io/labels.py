@@ -29,22 +29,11 @@ _SUFFIXES = {
 
 
 def column(name: str, units: Units, fractions: bool = False) -> tuple[str, str]:
-    """Say what a column of a table of results holds.
+    """Words and unit of a column of a table of results, in the units of the run file;
+    `fractions`: whether stretches of the newborn are fractions of their thresholds.
 
-    Parameters
-    ----------
-    name : str
-    units : Units
-        Those of the run file.
-    fractions : bool
-        Whether stretches of the newborn are fractions of their thresholds.
-
-    Returns
-    -------
-    words, unit : str
-        Words are "" of a key of a run file, whose name says it. The unit is such as
-        "um/s", or "length/time" where units are not given; "" of a number and of what
-        is not known.
+    Words are "" of a key of a run file, whose name says it. The unit is such as "um/s",
+    or "length/time" where units are not given; "" of a number and of what is not known.
     """
     for suffix, (text, same) in _SUFFIXES.items():
         if name.endswith(suffix):
@@ -54,8 +43,9 @@ def column(name: str, units: Units, fractions: bool = False) -> tuple[str, str]:
     if entry is None:
         return "", ""
     words = entry.meaning or (entry.label if name in OBSERVABLES else entry.words)
-    words = "" if _is_key(name) else " ".join(words.split())
-    if entry.fixed_unit or _is_fraction(name, fractions):
+    numbered = name.startswith(("drive.programme.", "population."))
+    words = "" if numbered or name in catalogue.KEYS else " ".join(words.split())
+    if entry.fixed_unit or (fractions and _is_fraction(name)):
         return words, entry.fixed_unit
     if entry.dimension == STRESS and units.size(STRESS) is not None:
         return words, "Pa"  # `units.quantities`
@@ -64,19 +54,9 @@ def column(name: str, units: Units, fractions: bool = False) -> tuple[str, str]:
     return words, Units(**known).label(entry.dimension)
 
 
-def _is_key(name: str) -> bool:
-    return name in catalogue.KEYS or name.startswith(
-        ("drive.programme.", "population.")
-    )
-
-
-def _is_fraction(name: str, fractions: bool) -> bool:
-    """True for a key that is a stretch of newborn contacts over their threshold."""
-    return (
-        fractions
-        and name.startswith("newborn.")
-        and catalogue.KEYS[name].dimension == LENGTH
-    )
+def _is_fraction(name: str) -> bool:
+    """True for a key that may be a stretch of newborn contacts over their threshold."""
+    return name.startswith("newborn.") and catalogue.KEYS[name].dimension == LENGTH
 
 
 def unit_text(units: Units, of: Dimension, unknown: bool = True) -> str:
@@ -120,7 +100,7 @@ def axis(
     entry = catalogue.entry(name)
     if entry is None or not entry.words:
         return plain(name)
-    if _is_fraction(name, fractions):
+    if fractions and _is_fraction(name):
         return f"{entry.words} over threshold"
     unit = entry.fixed_unit or (stress if entry.dimension == STRESS else "")
     unit = unit or unit_text(units, entry.dimension, unknown)
@@ -128,8 +108,7 @@ def axis(
 
 
 def of_trajectory(x: str, units: Units) -> dict[str, str]:
-    """Labels of the axes of a picture of the force against the column `x` of a
-    trajectory."""
+    """Labels of the axes of a picture of the force against a column `x`."""
     x_label, y_label = (axis(name, units, unknown=False) for name in (x, "force"))
     return {"xlabel": x_label, "ylabel": y_label}
 
@@ -146,8 +125,7 @@ def plain(text: str) -> str:
 
 
 def described(contacts: Ensemble, units: Units, tex: bool = False) -> str:
-    """An ensemble in some words: how many contacts of which disorder and stiffness,
-    temperature and aging."""
+    """An ensemble in some words: contacts, disorder, stiffness, temperature, aging."""
     count = f"{contacts.count:,}".replace(",", " ")
     springs = r"$k_i \propto \sqrt{f_{si}}$" if tex else "k_i ~ sqrt(f_si)"
     if contacts.stiffness_law == "uniform":

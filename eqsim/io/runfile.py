@@ -6,12 +6,10 @@ refused.
 """
 
 import copy
-import functools
 import json
 import math
 import tomllib
-import typing
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,11 +19,9 @@ import numpy as np
 
 from eqsim import catalogue
 from eqsim.errors import (
-    NOT_NEGATIVE,
     POSITIVE,
     InputError,
     meant,
-    require_choice,
     require_integer,
     require_number,
     shown,
@@ -33,7 +29,7 @@ from eqsim.errors import (
 )
 from eqsim.estimate import Averages, Estimate
 from eqsim.io import csv, schema
-from eqsim.io.labels import described, of_trajectory
+from eqsim.io.labels import described
 from eqsim.io.tables import DriveRecord, RecordedDrive, read_drive, read_thresholds
 from eqsim.io.units import (
     Interface,
@@ -62,24 +58,22 @@ from eqsim.model.drive import (
     require_drive,
 )
 from eqsim.model.elastic import Elastic
-from eqsim.model.ensemble import Disorder, Ensemble, Population
+from eqsim.model.ensemble import Ensemble, Population
 from eqsim.results import Listed
 
 Section = TypeVar("Section")
 _LONGEST = 10_000_000  # characters of a run file
 # Keys whose text may be any word, also "Infinity".
 _FREE_TEXT = ("title", "file", "column")
+_PULLS = ("force", "force_rate")  # keys of a segment under a force
 # Keys that say the same: a change of one replaces the other.
 _ALTERNATIVES = {
     "thermal.temperature": "thermal.kT",
-    "thermal.kT": "thermal.temperature",
     "interface.normal_load": "interface.normal_stress",
-    "interface.normal_stress": "interface.normal_load",
     "drive.stage.machine_stiffness": "drive.stage.stiffness",
-    "drive.stage.stiffness": "drive.stage.machine_stiffness",
     "drive.stage.radiation_damping": "drive.stage.damping",
-    "drive.stage.damping": "drive.stage.radiation_damping",
 }
+_ALTERNATIVES |= {other: key for key, other in _ALTERNATIVES.items()}
 # What of a stage is given for the machine: the key that follows, and per what it is.
 _MACHINE = {
     "machine_stiffness": ("stiffness", catalogue.LENGTH),
@@ -108,20 +102,16 @@ class RunFile(Listed):
     text: str = field(default="", repr=False, compare=False)
     folder: Path = field(default=Path(), repr=False, compare=False)
     unlisted: ClassVar[tuple[str, ...]] = (
-        *("constant", "constant_drive", "headline", "labels"),
-        *(
-            "physical",
-            "preferred",
-            "pulled",
-            "quantities_in",
-            "rows",
-        ),
+        *("constant", "constant_drive", "headline", "physical"),
+        *("preferred", "pulled", "quantities_in", "rows"),
     )
 
     def __getitem__(self, key: str) -> Any:
-        """The value of a "section.key" with its default filled in, None if it
-        has none."""
-        return functools.reduce(_part, key.split("."), self.settings)
+        """The value of a "section.key", or its default; None if it has none."""
+        found: Any = self.settings
+        for name in key.split("."):
+            found = found[int(name) if isinstance(found, list) else name]
+        return found
 
     @property
     def title(self) -> str:
@@ -138,10 +128,10 @@ class RunFile(Listed):
         """The content of [fit]."""
         return dict(self.settings["fit"])
 
-    def _section(self, kind: Callable[..., Section], name: str) -> Section:
-        """The dataclass of a section. Raises InputError."""
+    def _made(self, kind: Callable[..., Section], name: str, **more: Any) -> Section:
+        """The dataclass of a section, with `more` of its fields. Raises InputError."""
         with under(name):
-            return kind(**self.settings[name])
+            return kind(**self.settings[name] | more)
 
     @cached_property
     def units(self) -> Units:
@@ -155,49 +145,45 @@ class RunFile(Listed):
             "omega": ("attempt_frequency", omega),
             "k": ("stiffness", self["contacts.stiffness"]),
         }
+        several = "file" in self.sweep or self["population"]
         natural = tuple(
             symbol
             for symbol, (key, value) in keys.items()
-            if value == 1.0
-            and key not in varied
-            and "file" not in self.sweep
-            and not self["population"]
+            if value == 1.0 and key not in varied and not several
         )
-        return replace(self._section(Units, "units"), natural=natural)
+        return self._made(Units, "units", natural=natural)
 
     @cached_property
     def interface(self) -> Interface:
         """The interface that the contacts stand for. Raises InputError."""
-        return self._section(Interface, "interface")
+        return self._made(Interface, "interface")
 
     @cached_property
     def output(self) -> Output:
         """The recording of a run. Raises InputError."""
-        output = self._section(Output, "output")
+        output = self._made(Output, "output")
         for name in ("series", "breaks"):
             if getattr(output, name) and self["elastic"]:
                 said = "not with [elastic], which writes every block and avalanche"
                 raise InputError(f"output.{name}: {said}")
         if output.breaks and not self.constant:
-            raise InputError(
-                "output.breaks: breaks are listed at a constant drive.velocity only"
-            )
+            said = "breaks are listed at a constant drive.velocity only"
+            raise InputError(f"output.breaks: {said}")
         return output
 
     @property
     def constant(self) -> bool:
         """True for a drive at `drive.velocity` over `drive.distance`."""
-        names = self.settings["drive"].keys() - {"velocity", "distance", "start"}
-        return all(self.settings["drive"][name] is None for name in names)
+        given = {name for name, value in self["drive"].items() if value is not None}
+        return given <= {"velocity", "distance", "start"}
 
     @property
     def pulled(self) -> bool:
-        """True if a stage, a force or a motor moves the slider, or blocks move in
-        time."""
+        """True if a stage, force, motor or blocks in time move the slider."""
         if isinstance(self.blocks, Chain):
             return True
-        parts = [self.settings["drive"], *(self["drive.programme"] or ())]
-        names = "stage", "stall_force", "force", "force_rate"
+        parts = [self["drive"], *(self["drive.programme"] or ())]
+        names = "stage", "stall_force", *_PULLS
         return any(part.get(name) is not None for part in parts for name in names)
 
     @cached_property
@@ -213,48 +199,32 @@ class RunFile(Listed):
         return replace(alone, populations=kinds)
 
     def _contacts(self) -> Ensemble:
-        """The contacts of one kind that the keys at the top declare. Raises
-        InputError."""
-        disorder, eta = self["disorder"], self["viscosity.eta"]
+        """The contacts of one kind that the keys at the top say. Raises InputError."""
+        alone = replace(self._made(Ensemble, "contacts"), disorder=self["disorder"])
         heat = {k: v for k, v in self["thermal"].items() if k != "temperature"}
         for name in ("catch", "slip"):
             heat[name] = heat[name] and Pathway(**heat[name])
         with under("thermal"):
             thermal = Thermal(**heat)
-        delay = self._section(Delay, "delay")
-        law = self._threshold_law()
-        require_choice("disorder", disorder, typing.get_args(Disorder))
+        delay, law = self._made(Delay, "delay"), self._threshold_law()
         # contacts that do not age, or are born unstressed, would be a surprise
         _require_law("aging.rule", self.given, (*RULES, "none"))
         with under("aging"):
             aging = Aging.of_keys(self["aging"], set(self.given.get("aging", ())))
-            aging.check(law, disorder)
-        require_number("viscosity.eta", eta, **NOT_NEGATIVE)
+            aging.check(law, alone.disorder)
         with under("viscosity"):
-            drag = self["viscosity"]
-            viscosity = Viscosity(**{k: v for k, v in drag.items() if k != "eta"})
+            drag = dict(self["viscosity"])
+            alone = replace(alone, eta=drag.pop("eta"), viscosity=Viscosity(**drag))
         _require_law("newborn.law", self.given, (*LAWS, "unstressed"))
-        newborn = self._section(Newborn, "newborn")
+        newborn = self._made(Newborn, "newborn")
         with under("newborn"):
-            newborn.check(law, disorder, aging.active)
-        with under("contacts"):
-            Ensemble(**self["contacts"])
-        return Ensemble(
-            law,
-            thermal,
-            delay,
-            aging,
-            disorder=disorder,
-            eta=eta,
-            newborn=newborn,
-            viscosity=viscosity,
-            **self["contacts"],
-        )
+            newborn.check(law, alone.disorder, aging.active)
+        laws: dict[str, Any] = {"thresholds": law, "thermal": thermal, "delay": delay}
+        return replace(alone, **laws, aging=aging, newborn=newborn)
 
     def _threshold_law(self) -> ThresholdLaw:
-        known = self.settings["thresholds"]
-        law, tabled = known["law"], ("file", "column", "scale", "quantity")
-        given = {k: v for k, v in known.items() if k != "law" and v is not None}
+        given = {k: v for k, v in self["thresholds"].items() if v is not None}
+        law, tabled = given.pop("law"), ("file", "column", "scale", "quantity")
         allowed = tabled if law == "table" else threshold_parameters(law)
         for key, value in given.items():
             if key not in allowed:
@@ -271,25 +241,23 @@ class RunFile(Listed):
         found = read_thresholds(path, given.get("column"), scale)
         if given.get("quantity") != "force":
             return found
-        contacts = self.settings["contacts"]
-        require_number("contacts.stiffness", contacts["stiffness"], **POSITIVE)
+        contacts = self._made(Ensemble, "contacts")
         force = found.steps  # f = k_i xi, with k_i = k sqrt(f/<f>) under the sqrt law
-        uniform = contacts["stiffness_law"] == "uniform"
+        uniform = contacts.stiffness_law == "uniform"
         stretch = force if uniform else np.sqrt(force * force.mean())
         with under("thresholds"):
-            return Table(stretch / contacts["stiffness"])
+            return Table(stretch / contacts.stiffness)
 
     @cached_property
     def drive(self) -> Drive | Programme:
         """The drive of the slider. Raises InputError."""
-        given = self.settings["drive"]
-        if not self.constant or isinstance(self.blocks, Chain):
+        given, blocks = self["drive"], self.blocks
+        if not self.constant or isinstance(blocks, Chain):
             return self._programme()
         if given["velocity"] is None:
             raise InputError("drive.velocity: is required")
         with under("drive"):
-            where = given["velocity"], given["distance"], given["start"]
-            return Drive(*where, self.blocks)
+            return Drive(given["velocity"], given["distance"], given["start"], blocks)
 
     @cached_property
     def blocks(self) -> Elastic | None:
@@ -301,102 +269,79 @@ class RunFile(Listed):
             if given["mass"] or given["damping"]:
                 return Chain(**given)
             if given["bulk_damping"]:
-                raise InputError(
-                    "bulk_damping: needs a mass or a damping of each block"
-                )
-            names = {field.name for field in fields(Elastic)}
-            return Elastic(**{k: v for k, v in given.items() if k in names})
+                said = "needs a mass or a damping of each block"
+                raise InputError(f"bulk_damping: {said}")
+            names = (field.name for field in fields(Elastic))
+            return Elastic(**{name: given[name] for name in names})
 
     @property
     def constant_drive(self) -> Drive:
-        """The drive, where only a constant velocity has an answer. Raises
-        InputError."""
+        """The drive, if it has a constant velocity. Raises InputError."""
         return require_drive(self.drive)
 
     def _programme(self) -> Programme:
-        given = self.settings["drive"]
-        programme, file, stage = map(given.get, ("programme", "file", "stage"))
-        chain = self.blocks if isinstance(self.blocks, Chain) else None
-        elastic = None if chain else self.blocks
-        if programme is not None and file is not None:
-            raise InputError("drive.file: not allowed with drive.programme")
-        if file is None and given["record"] is not None:
-            raise InputError("drive.record: needs drive.file, the record itself")
-        alone = programme is None and file is None
-        pulls = {k: v for k in ("force", "force_rate") if (v := given[k]) is not None}
-        for name in ("time", *pulls) if not alone else ():
-            if given[name] is not None:
-                said = "not allowed with a programme or file"
-                raise InputError(f"drive.{name} = {given[name]!r}: {said}")
-        for name in ("velocity", "distance") if pulls else ():
-            if given[name] is not None:
-                said = f"not allowed with {min(pulls)}, which needs a time"
-                raise InputError(f"drive.{name} = {given[name]!r}: {said}")
-        if given["distance"] is not None and not alone:
-            said = "not allowed with a programme or file"
-            raise InputError(f"drive.distance = {given['distance']!r}: {said}")
-        if alone and not pulls and given["velocity"] is None:
-            raise InputError("drive.velocity: is required")
-        pulled_by, segments = None, []
+        self._check_course()
+        given, blocks = self["drive"], self.blocks
+        names = "start", "velocity", "stall_force", "rebinding"
+        more = {name: given[name] for name in names if given[name] is not None}
+        more["chain" if isinstance(blocks, Chain) else "elastic"] = blocks
         with under("drive"):
-            if stage is not None:
+            if stage := given["stage"]:
+                known = {k: v for k, v in stage.items() if k not in _MACHINE}
                 with under("stage"):
-                    pulled_by = Stage(
-                        **{k: v for k, v in stage.items() if k not in _MACHINE}
-                    )
-            if file is not None:
-                segments = list(self._recorded_drive().segments)
-            elif alone:
-                distance, time = given["distance"], given["time"]
-                if distance is None and time is None and not pulls:
-                    distance = default_distance(self.ensemble)
-                segments = [Segment(given["velocity"] or 0.0, distance, time, **pulls)]
-            for index, section in enumerate(programme or []):
-                with under(f"programme.{index}"):
-                    segments.append(_segment(**section))
-            stall = given["stall_force"]
-            return Programme(
-                tuple(segments),
-                given["start"],
-                given["velocity"],
-                pulled_by,
-                math.inf if stall is None else stall,
-                given["rebinding"] or "unstretched",
-                chain,
-                elastic,
-            )
+                    more["stage"] = Stage(**known)
+            return Programme(tuple(self._segments()), **more)
+
+    def _check_course(self) -> None:
+        """Raise InputError for keys of [drive] that do not go together."""
+        given = self["drive"]
+        if given["programme"] is not None and given["file"] is not None:
+            raise InputError("drive.file: not allowed with drive.programme")
+        if given["file"] is None and given["record"] is not None:
+            raise InputError("drive.record: needs drive.file, the record itself")
+        pulls = [name for name in _PULLS if given[name] is not None]
+        wrong, said = ["time", *pulls, "distance"], "with a programme or file"
+        if given["programme"] is None and given["file"] is None:
+            wrong = ["velocity", "distance"] if pulls else []
+            said = f"with {min(pulls, default='')}, which needs a time"
+            if not pulls and given["velocity"] is None:
+                raise InputError("drive.velocity: is required")
+        for name in wrong:
+            if given[name] is not None:
+                raise InputError(f"drive.{name} = {given[name]!r}: not allowed {said}")
+
+    def _segments(self) -> Iterator[Segment]:
+        """The segments of the drive. Raises InputError."""
+        given = self["drive"]
+        if given["file"] is not None:
+            yield from self._recorded_drive().segments
+        elif given["programme"] is None:
+            distance, time = given["distance"], given["time"]
+            pulls = {name: given[name] for name in _PULLS}
+            if {distance, time, *pulls.values()} == {None}:
+                distance = default_distance(self.ensemble)
+            yield Segment(given["velocity"] or 0.0, distance, time, **pulls)
+        for index, section in enumerate(given["programme"] or []):
+            with under(f"programme.{index}"):
+                yield _segment(**section)
 
     def _recorded_drive(self) -> RecordedDrive:
         """The content of drive.file. Raises InputError."""
-        given = self.settings["drive"]
-        how = None if given["record"] is None else DriveRecord(**given["record"])
-        return read_drive(path_of("file", self.folder, given["file"]), how)
+        path = path_of("file", self.folder, self["drive.file"])
+        how = self["drive.record"]
+        return read_drive(path, how and DriveRecord(**how))
 
     @property
     def said(self) -> list[str]:
-        """How the rows of drive.file were read, where drive.record says how. Raises
-        InputError."""
-        if self.settings["drive"]["record"] is None:
+        """How drive.file was read, where drive.record says how. Raises InputError."""
+        if self["drive.record"] is None:
             return []
         return [f"drive.file: {', '.join(self._recorded_drive().said)}"]
 
     def with_changes(self, changes: dict[str, Any]) -> "RunFile":
-        """The run file of one point, without [sweep] and [fit].
-
-        Parameters
-        ----------
-        changes : dict
-            Values by "section.key": {"thermal.kT": 0.1}.
-
-        Returns
-        -------
-        RunFile
-
-        Raises
-        ------
-        InputError
-            For a key that there is not, and a value that has not its type.
-        """
+        """The run file of one point, without [sweep] and [fit]; `changes` are values by
+        "section.key", {"thermal.kT": 0.1}. Raises InputError for a key that there is
+        not, and a value that has not its type."""
         data, known = copied(self.given, without=("sweep", "fit")), keys(self)
         _without_alternatives(data, changes)
         for key, value in changes.items():
@@ -405,13 +350,12 @@ class RunFile(Listed):
                 hint = meant(key, known) or "there are " + ", ".join(first)
                 said = "is not a key that can change from point to point"
                 raise InputError(f"{key}: {said}; {hint}")
-            _put(data, key.split("."), key, value)
+            put(data, key, value)
         return check(data, self.folder)
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """Friction as a force, a shear stress and a coefficient, as far as that is
-        known."""
+        """Friction as a force, a shear stress and a coefficient, if known."""
         return self.quantities_in()
 
     def quantities_in(
@@ -433,11 +377,6 @@ class RunFile(Listed):
         """The title of a table, or `name` without one, and what is simulated."""
         return f"{self.title or name}: {described(self.ensemble, self.units)}"
 
-    def labels(self, x: str) -> dict[str, str]:
-        """Labels of the axes of a picture of the force against `x`, a column of a
-        trajectory, in its units."""
-        return of_trajectory(x, self.units)
-
     def preferred(self, friction: Estimate) -> Quantity | None:
         """The coefficient, or else the stress or the force, in a unit fit for
         `friction`; None if none is known."""
@@ -456,9 +395,7 @@ def population_alone(file: RunFile, index: int) -> RunFile:
         if name == "stiffness":
             data.setdefault("contacts", {})[name] = given
         elif name != "share":
-            _without_alternatives(
-                data, {f"{name}.{key}": x for key, x in given.items()}
-            )
+            _without_alternatives(data, [f"{name}.{key}" for key in given])
             alone = given.keys() & {"law", "rule", "barrier"}
             data[name] = given if alone else data.get(name, {}) | given
     return check(data, file.folder)
@@ -470,18 +407,16 @@ def _require_law(key: str, given: dict[str, Any], laws: tuple[str, ...]) -> None
     there = given.get(section) or {}
     if there and name not in there:
         *more, last = (f'"{law}"' for law in laws)
-        allowed = ", ".join(more) + f" or {last}"
+        allowed = f"{', '.join(more)} or {last}"
         raise InputError(f"{key}: is required with {min(there)}; must be {allowed}")
 
 
 def _segment(velocity: Any, hold: float | None, **more: Any) -> Segment:
     """A segment of a run file. Raises InputError."""
-    pulls = [n for n in ("force", "force_rate") if more[n] is not None]
-    if len(pulls[:1]) + (velocity is not None) + (hold is not None) != 1:
-        said = (
-            "either a velocity or a hold, the time for which nothing moves, or a force"
-        )
-        raise InputError(f"velocity: a segment has {said}")
+    forced = more["force"] is not None or more["force_rate"] is not None
+    if forced + (velocity is not None) + (hold is not None) != 1:
+        said = "either a velocity or a hold, the time for which nothing moves"
+        raise InputError(f"velocity: a segment has {said}, or a force")
     if hold is None:
         return Segment(velocity or 0.0, **more)
     for name in ("distance", "time"):
@@ -489,18 +424,17 @@ def _segment(velocity: Any, hold: float | None, **more: Any) -> Segment:
             said = "not allowed with hold, which is a time"
             raise InputError(f"{name} = {shown(more[name])}: {said}")
     require_number("hold", hold, **POSITIVE)
-    return Segment(0.0, **{**more, "time": hold})
+    return Segment(0.0, **more | {"time": hold})
 
 
-def _two_temperatures(temperature: float) -> str:
+def _two_temperatures(temperature: float) -> InputError:
     given = f"thermal.temperature = {shown(temperature)}"
-    return f"{given}: not allowed with kT; give one of them"
+    return InputError(f"{given}: not allowed with kT; give one of them")
 
 
-def _without_alternatives(data: dict[str, Any], changes: dict[str, Any]) -> None:
-    """Remove from the content of a run file each key that says the same as one of the
-    `changes`."""
-    for key in _ALTERNATIVES.keys() & changes.keys():
+def _without_alternatives(data: dict[str, Any], changes: Collection[str]) -> None:
+    """Remove each key that says the same as one of the keys that change."""
+    for key in _ALTERNATIVES.keys() & set(changes):
         *sections, name = _ALTERNATIVES[key].split(".")
         place: Any = data
         for section in sections:
@@ -557,21 +491,22 @@ def _changed(
         axes, axis = data.get("sweep", {}), key.removeprefix("sweep.")
         first = axis.split(".")[0]
         nested = not isinstance(axes, dict) or isinstance(axes.get(first), dict)
-        nested = nested or first in ("zip", "file")
-        in_quotes = axis != key and not nested  # the key of an axis
-        _put(data, ["sweep", axis] if in_quotes else key.split("."), key, value)
+        quoted = axis != key and not nested and first not in ("zip", "file")
+        put(data, key, value, ["sweep", axis] if quoted else None)
     heat = data.get("thermal")
     # even if kT is 0
     if isinstance(heat, dict) and {"kT", "temperature"} <= heat.keys():
-        raise InputError(_two_temperatures(heat["temperature"]))
+        raise _two_temperatures(heat["temperature"])
     text += "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
     return replace(check(data, folder), text=text)
 
 
-def _put(data: dict[str, Any], path: list[str], key: str, value: Any) -> None:
-    """Put the value of a `key` into the content of a run file, at a path of sections
-    and numbers of segments. Raises InputError."""
-    *sections, last = path
+def put(
+    data: dict[str, Any], key: str, value: Any, path: list[str] | None = None
+) -> None:
+    """Put the value of a `key` into the content of a TOML file, at a `path` of sections
+    and numbers of segments, by default that of its name. Raises InputError."""
+    *sections, last = path or key.split(".")
     place: Any = data
     for name in sections:
         if isinstance(place, list) and name.isdecimal() and int(name) < len(place):
@@ -587,8 +522,7 @@ def _put(data: dict[str, Any], path: list[str], key: str, value: Any) -> None:
 
 
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
-    """The text and the content of a TOML file, which may be a pipe. Raises
-    InputError."""
+    """Text and content of a TOML file, which may be a pipe. Raises InputError."""
     try:
         with path.open(encoding="utf-8-sig") as file:
             text = file.read(_LONGEST + 1)
@@ -597,8 +531,8 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
     except UnicodeDecodeError:
         raise InputError(f"{path}: is not a text file in UTF-8") from None
     if len(text) > _LONGEST:  # a device may never end
-        said = f"is longer than {_LONGEST:.0e} characters; a run file is not"
-        raise InputError(f"{path}: {said}")
+        said = f"is longer than {_LONGEST:.0e} characters"
+        raise InputError(f"{path}: {said}; a run file is not")
     try:
         return text, tomllib.loads(text)
     # also numbers and nesting beyond Python's limits
@@ -647,13 +581,11 @@ def keys(file: RunFile | None = None) -> dict[str, type]:
             for name, key in schema.keys_of(section).items():
                 known[f"{section}.{name}"] = str if key.kind is list else key.kind
     for index in range(len(file["population"] or [])):
-        above, alone = f"population.{index}.", keys(population_alone(file, index))
-        known |= {f"{above}share": float, f"{above}stiffness": float}
-        known |= {
-            above + name: kind
-            for name, kind in alone.items()
-            if name.partition(".")[0] in schema.OF_POPULATION
-        }
+        alone: dict[str, type] = {"share": float, "stiffness": float}
+        for name, kind in keys(population_alone(file, index)).items():
+            if name.partition(".")[0] in schema.OF_POPULATION:
+                alone[name] = kind
+        known |= {f"population.{index}.{name}": kind for name, kind in alone.items()}
     kinds = {n: key.kind for n, key in schema.keys_of("drive.programme").items()}
     for index, segment in enumerate(file["drive.programme"] or []):
         given = (name for name, value in segment.items() if value is not None)
@@ -676,22 +608,15 @@ def parameters(file: RunFile) -> dict[str, Any]:
     return found
 
 
-_NEWER = {name for name, key in catalogue.KEYS.items() if key.since}
-
-
 def naming(file: RunFile) -> dict[str, Any]:
     """The `parameters` that name a point of a sweep. Keys that came with a later version
     are among them where they differ from their defaults: points keep their names."""
+    newer = {name for name, key in catalogue.KEYS.items() if key.since}
     return {
         key: value
         for key, value in parameters(file).items()
-        if key not in _NEWER or value != schema.KEYS[key].default
+        if key not in newer or value != schema.KEYS[key].default
     }
-
-
-def _part(data: Any, name: str) -> Any:
-    """The content of a section, or of a segment by its number."""
-    return data[int(name)] if isinstance(data, list) else data[name]
 
 
 at = RunFile.with_changes
@@ -704,14 +629,12 @@ def stored(settings: dict[str, Any], folder: Path | str = "") -> RunFile:
     def restored(value: Any, name: str = "") -> Any:
         if isinstance(value, dict):
             rule = RULES.get(value.get("rule", "")) if name == "aging" else None
-            others = {
-                one.name: one.default
-                for one in fields(Aging)
-                if rule and one.name not in ("rule", *rule.keys)
-            }
+            usual = {one.name: one.default for one in fields(Aging)} if rule else {}
+            for key in ("rule", *rule.keys) if rule else ():
+                usual.pop(key, None)
             # keys of other rules of aging are stored with their defaults
-            given = (one for one in value.items() if others.get(one[0], ...) != one[1])
-            return {key: restored(content, key) for key, content in given}
+            kept = (one for one in value.items() if usual.get(one[0], ...) != one[1])
+            return {key: restored(content, key) for key, content in kept}
         if isinstance(value, list):
             return [restored(content, name) for content in value]
         return math.inf if value == "Infinity" and name not in _FREE_TEXT else value
@@ -749,13 +672,13 @@ def _with_blocks(data: dict[str, Any]) -> dict[str, Any]:
         return f"elastic.{name}" if section == "interface" and name in named else key
 
     data = dict(data)
-    if isinstance(interface := data.get("interface"), dict):
+    interface, elastic = data.get("interface"), data.get("elastic") or {}
+    if isinstance(interface, dict) and isinstance(elastic, dict):
         blocks = {key: interface[key] for key in interface if key in named}
-        elastic = data.get("elastic")
-        if blocks and isinstance(elastic, dict | None):
-            for key in blocks.keys() & (elastic or {}).keys():
-                raise InputError(f"interface.{key}: stands in [elastic], too")
-            data["elastic"] = (elastic or {}) | blocks
+        for key in blocks.keys() & elastic.keys():
+            raise InputError(f"interface.{key}: stands in [elastic], too")
+        if blocks:
+            data["elastic"] = elastic | blocks
             data["interface"] = {k: v for k, v in interface.items() if k not in named}
     if isinstance(sweep := data.get("sweep"), dict):
         data["sweep"] = {moved(key): value for key, value in sweep.items()}
@@ -792,7 +715,7 @@ def _heat(file: RunFile) -> None:
         kT = file.units.energy(thermal["temperature"])
     same = math.isclose(thermal["kT"], kT, rel_tol=1e-12, abs_tol=0.0)
     if thermal["kT"] and not same:
-        raise InputError(_two_temperatures(thermal["temperature"]))
+        raise _two_temperatures(thermal["temperature"])
     thermal["kT"] = kT
     file.given["thermal"].pop("kT", None)
 
@@ -826,14 +749,12 @@ def contents_of(file: RunFile) -> dict[str, bytes]:
     try:
         return {name: (file.folder / name).read_bytes() for name in names if name}
     except OSError as error:
-        raise InputError(
-            f"{error.filename}: cannot be read ({error.strerror})"
-        ) from None
+        said = f"cannot be read ({error.strerror})"
+        raise InputError(f"{error.filename}: {said}") from None
 
 
 def path_of(field: str, folder: Path, name: str) -> Path:
-    """The path of a file that a key names, relative to `folder`. Raises InputError for
-    an empty name."""
+    """The path of a file that a key names. Raises InputError for an empty name."""
     if not name.strip():
         raise InputError(f"{field} = {shown(name)}: must be the name of a file")
     return folder / name

@@ -7,6 +7,7 @@ the section's dataclass in the model, whose type and default are those of the ke
 default. Limits and choices are those of the dataclasses, which are made later.
 """
 
+import itertools
 import types
 import typing
 from dataclasses import MISSING, fields
@@ -30,23 +31,14 @@ from eqsim.model.chain import Chain
 from eqsim.model.drive import Drive, Output, Segment, Stage
 from eqsim.model.ensemble import Ensemble, Population
 
+_NAMED_AS_SECTIONS: tuple[Any, ...] = (
+    *(Population, Thermal, Newborn, Aging, Delay, Viscosity),
+    *(Drive, Output, Units, Interface),
+)
 _DATACLASSES: dict[str, Any] = {
-    "": Ensemble,
-    "contacts": Ensemble,
-    "population": Population,
-    "thermal": Thermal,
-    "newborn": Newborn,
-    "aging": Aging,
-    "delay": Delay,
-    "viscosity": Viscosity,
-    "drive": Drive,
-    "drive.programme": Segment,
-    "drive.stage": Stage,
-    "drive.record": DriveRecord,
-    "elastic": Chain,
-    "output": Output,
-    "units": Units,
-    "interface": Interface,
+    **{kind.__name__.lower(): kind for kind in _NAMED_AS_SECTIONS},
+    **{"": Ensemble, "contacts": Ensemble, "elastic": Chain},
+    **{"drive.programme": Segment, "drive.stage": Stage, "drive.record": DriveRecord},
 }
 # Sections that a population may have, too.
 OF_POPULATION = ("thresholds", "thermal", "delay", "aging", "newborn")
@@ -65,8 +57,8 @@ _CHOICES = {
 
 
 class Key(NamedTuple):
-    """A key: the `kind` of its values, float, int, bool, str or dict, how pydantic
-    checks it, and the `choices` of a text that is not free."""
+    """A key: the `kind` of its values, float, int, bool, str, list or dict, how
+    pydantic checks it, and the `choices` of a text that is not free."""
 
     kind: type
     annotation: Any
@@ -81,71 +73,67 @@ def _whole(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-_WHOLE = Annotated[int, BeforeValidator(_whole)]
-_NUMBER = Key(float, float | None, None)
-_REQUIRED = Key(float, float, ...)
-_TEXT = Key(str, str | None, None)
-_TABLE = Key(dict, dict[str, Any], {})  # read by `sweeps.plan` and `fitting.section`
-_OTHERS = {
-    "title": Key(str, Annotated[str, pydantic.Field(max_length=200)], ""),
-    "sweep": _TABLE,
-    "fit": _TABLE,
+_WHOLE = BeforeValidator(_whole)
+_TEXT = str | None, None
+_TABLE: Any = (dict[str, Any], {})  # read by `sweeps.plan` and `fitting.section`
+_NUMBER, _REQUIRED = (float | None, None), (float, ...)
+_PATHWAYS = ("catch.rate", "catch.force", "slip.rate", "slip.force")
+# Type and default; numbers that may be given are no fields and not here.
+_OTHERS: dict[str, tuple[Any, Any]] = {
+    "title": (Annotated[str, pydantic.Field(max_length=200)], ""),
+    **dict.fromkeys(("sweep", "fit"), _TABLE),
     # a law (`laws.named.THRESHOLDS`), whose parameters are other keys, or a `Table`
-    "thresholds.law": Key(str, Literal[(*THRESHOLDS, "table")], "gamma"),
-    "thresholds.file": _TEXT,
-    "thresholds.column": _TEXT,
-    "thresholds.quantity": Key(str, Literal["stretch", "force"] | None, None),
-    "thermal.temperature": _NUMBER,  # kelvin, instead of kT
-    "viscosity.eta": Key(float, float, Ensemble.eta),
-    "thermal.catch.rate": _REQUIRED,
-    "thermal.catch.force": _REQUIRED,
-    "thermal.slip.rate": _REQUIRED,
-    "thermal.slip.force": _REQUIRED,
+    "thresholds.law": (Literal[(*THRESHOLDS, "table")], "gamma"),
+    **dict.fromkeys(("thresholds.file", "thresholds.column"), _TEXT),
+    "thresholds.quantity": (Literal["stretch", "force"] | None, None),
+    "viscosity.eta": (float, Ensemble.eta),
+    **{f"thermal.{name}": _REQUIRED for name in _PATHWAYS},
     "drive.velocity": _NUMBER,
-    "drive.force": _NUMBER,
-    "drive.force_rate": _NUMBER,
-    "drive.time": _NUMBER,
-    "drive.stall_force": _NUMBER,
     "drive.rebinding": _TEXT,
     "drive.file": _TEXT,
     "drive.stage.stiffness": _NUMBER,  # or that of the machine
     "drive.stage.machine_stiffness": _TEXT,
     "drive.stage.radiation_damping": _TEXT,
-    "drive.record.start": Key(str, str | float | None, None),
-    "drive.programme.velocity": _NUMBER,
-    "drive.programme.hold": _NUMBER,  # the time of a segment that does not move
-    "elastic.blocks": Key(int, Annotated[Any, BeforeValidator(_whole)], ...),
-    "elastic.load": Key(list, list[Any] | dict[str, Any] | str | None, None),
+    "drive.record.start": (str | float | None, None),
+    "drive.programme.velocity": _NUMBER,  # or a hold
+    "elastic.blocks": (int | Any, ...),  # a number, or two
+    "elastic.load": (list[Any] | dict[str, Any] | str | None, None),
 }
 
 
 def _key(name: str) -> Key:
-    """The key of this name. Choices are texts here: the dataclass refuses others."""
+    """The key of this name. Choices of fields are left to the dataclass."""
     section, _, last = name.rpartition(".")
-    if name in _OTHERS or section not in _DATACLASSES:
-        key = _OTHERS.get(name, _NUMBER)
-        return key._replace(choices=_literals(key.annotation))
-    kind = _DATACLASSES[section]
-    field = {field.name: field for field in fields(kind)}[last]
-    hint = typing.get_type_hints(kind)[last]
-    union = hint.__args__ if isinstance(hint, types.UnionType) else (hint,)
-    choices = _CHOICES.get(name, _literals(hint))
-    first = str if typing.get_origin(union[0]) is Literal else union[0]
-    checked: Any = _WHOLE if first is int else first
-    default = ... if field.default is MISSING else field.default
-    if field.metadata.get("no_default_in_files"):
-        return Key(first, checked | None, None, choices)
-    checked = checked | None if type(None) in union else checked
-    return Key(first, checked, default, choices)
+    owner = _DATACLASSES.get(section)
+    field = owner and {field.name: field for field in fields(owner)}.get(last)
+    if name in _OTHERS or field is None:
+        hint, default = _OTHERS.get(name, _NUMBER)
+        checked = hint
+    else:
+        hint = typing.get_type_hints(owner)[last]
+        default = ... if field.default is MISSING else field.default
+        if field.metadata.get("no_default_in_files"):
+            default = None
+        checked = _kind(hint) | None if default is None else _kind(hint)
+    kind, choices = _kind(hint), _CHOICES.get(name, _literals(hint))
+    checked = Annotated[checked, _WHOLE] if kind is int else checked
+    return Key(kind, checked, default, choices)
 
 
-def _literals(annotation: Any) -> tuple[str, ...]:
+def _kind(hint: Any) -> Any:
+    """The type of a value, of several the first one."""
+    origin = typing.get_origin(hint) or hint
+    if origin in (typing.Union, types.UnionType, Annotated):
+        return _kind(typing.get_args(hint)[0])
+    return str if origin is Literal else origin
+
+
+def _literals(hint: Any) -> tuple[str, ...]:
     """The texts that a type allows, if it lists them."""
-    if typing.get_origin(annotation) is Literal:
-        return typing.get_args(annotation)
-    union = typing.get_origin(annotation) in (typing.Union, types.UnionType)
-    parts = typing.get_args(annotation) if union else ()
-    return tuple(choice for part in parts for choice in _literals(part))
+    if typing.get_origin(hint) is Literal:
+        return typing.get_args(hint)
+    parts = map(_literals, typing.get_args(hint))
+    return tuple(itertools.chain.from_iterable(parts))
 
 
 KEYS = {name: _key(name) for name in catalogue.KEYS}
@@ -211,8 +199,7 @@ CONTENT = _schema("")
 
 
 def validated(data: dict[str, Any]) -> Any:
-    """The pydantic model of the content of a run file. Raises InputError, one line that
-    names the field."""
+    """The pydantic model of a run file. Raises InputError, which names the field."""
     for name in ("sweep", "fit"):
         _check_plain(name, data.get(name))
     try:
@@ -222,8 +209,7 @@ def validated(data: dict[str, Any]) -> Any:
 
 
 def _check_plain(field: str, content: Any) -> None:
-    """Refuse what is no number or text of a sweep, wherever it is: dates, huge
-    integers, endless nesting."""
+    """Refuse what is no number or text in a sweep: dates, huge or nested ones."""
     pending = [(field, content, 0)]
     while pending:
         name, value, depth = pending.pop()

@@ -126,18 +126,13 @@ def blocks_of(
     """Blocks of rows `y` in segments (their numbers, in order): `given` by their
     numbers, or as long as nothing is smeared."""
     ends = [0, *(np.flatnonzero(np.diff(segment)) + 1), y.size]
-    parts = [
-        _blocks_of_segment(
-            y[a:b],
-            errors._replace(rows=errors.rows[a:b]),
-            None if given is None else given[a:b],
-        )
-        for a, b in pairwise(ends)
-    ]
-    shifted = (
-        one._replace(first=one.first + a) for one, a in zip(parts, ends, strict=False)
-    )
-    return Blocks(*map(np.concatenate, zip(*shifted, strict=True)))
+    parts = []
+    for a, b in pairwise(ends):
+        known = errors._replace(rows=errors.rows[a:b])
+        numbers = None if given is None else given[a:b]
+        part = _blocks_of_segment(y[a:b], known, numbers)
+        parts.append(part._replace(first=part.first + a))
+    return Blocks(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _blocks_of_segment(y: Array, known: RowErrors, given: Array | None) -> Blocks:

@@ -135,8 +135,7 @@ def _watch(arrived: int) -> NoReturn:
 
 
 def _leave() -> None:
-    """End an interrupted process before Python shuts down under threads that still
-    compile."""
+    """End an interrupted process before Python shuts down under compiling threads."""
     if _first_signal:
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError):

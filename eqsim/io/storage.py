@@ -55,11 +55,7 @@ def versions() -> dict[str, str]:
 
 
 def provenance(
-    command: str,
-    settings: dict[str, Any],
-    run_file: str,
-    seed: int,
-    folder: Path | None = None,
+    command: str, settings: Any, run_file: str, seed: int, folder: Path | None = None
 ) -> dict[str, Any]:
     """Describe a call so that it can be repeated (`eqsim.workflows.replay`): the
     command, the run file as it stood and the folder its paths are relative to, every
@@ -142,10 +138,9 @@ def from_parquet(content: bytes) -> Any:
 
 
 def check_folder(folder: Path) -> None:
-    """Raise InputError unless files can be written to `folder` (made by then or not);
-    leaves no trace."""
+    """Raise InputError unless files can be written to `folder`, made by then or not."""
     parents = (folder, *folder.absolute().parents)
-    present = next(path for path in parents if os.path.lexists(path))
+    present = next(filter(os.path.lexists, parents))
     if not present.is_dir():
         raise InputError(f"--out {folder}: {present} is not a folder")
     try:
@@ -155,9 +150,15 @@ def check_folder(folder: Path) -> None:
         raise InputError(f"--out {folder}: cannot be written ({why})") from None
 
 
+def check_outside(dataset: Path, place: Path, out: Path | None) -> None:
+    """Raise InputError if what goes to `out` would be among the points of a dataset."""
+    if place.resolve().is_relative_to(dataset.resolve()):
+        said = f"must be outside {dataset}, where everything is read as points"
+        raise InputError(f"--out {out}: {said}")
+
+
 def save(path: Path, content: bytes) -> None:
-    """Write one file, whole or not at all, whenever the process or the machine dies.
-    Raises InputError."""
+    """Write one file, whole or not at all, whatever dies. Raises InputError."""
     publish(path.parent, {path.name: content}, str(path))
 
 

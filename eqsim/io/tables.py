@@ -42,31 +42,16 @@ def remembered(read: Callable[More, Result]) -> Callable[More, Result]:
 
 @remembered
 def read_thresholds(path: Path, column: str | None = None, scale: float = 1.0) -> Table:
-    """The empirical law of a CSV file, one positive number a row; lines that begin with
-    # are comments.
-
-    Parameters
-    ----------
-    path : Path
-    column : str, optional
-        Where the thresholds stand. Default: `threshold`, or the only column there is,
-        which needs no name.
-    scale : float
-        What they are multiplied by, such as 1e-9 of nanometres where lengths are in
-        metres.
-
-    Raises
-    ------
-    InputError
-        With the line that cannot be used.
-    """
+    """The empirical law of a CSV file, one positive number a row, in a `column`, by
+    default `threshold` or the only one there is, which needs no name. Thresholds are
+    multiplied by `scale`, such as 1e-9 of nanometres where lengths are in metres. Raises
+    InputError, with the line that cannot be used."""
     field, values = f"thresholds.file = {path}", []
     for line, text in _column_of_thresholds(csv.read(path, field), column):
         value = csv.value_of(text)
         if not 0 < value < math.inf:
-            raise InputError(
-                f"{field}, line {line}: {text[:40]!r} must be a finite number > 0"
-            )
+            said = f"{text[:40]!r} must be a finite number > 0"
+            raise InputError(f"{field}, line {line}: {said}")
         values.append(value * scale)
     if not values:
         raise InputError(f"{field}: is empty; at least one threshold is needed")
@@ -79,8 +64,7 @@ def read_thresholds(path: Path, column: str | None = None, scale: float = 1.0) -
 def _column_of_thresholds(
     sheet: csv.Sheet, column: str | None
 ) -> Iterator[tuple[int, str]]:
-    """Lines and cells of a `column`; by default of `threshold`, or of the only one
-    there is, which needs no name."""
+    """Lines and cells of a column, as `read_thresholds` finds it."""
     index = 0
     if column is None and len(sheet.columns) == 1:
         if sheet.headless:
@@ -117,13 +101,8 @@ class RecordedDrive(NamedTuple):
 def read_drive(path: Path, record: DriveRecord | None = None) -> RecordedDrive:
     """The segments of a recorded drive: a CSV file with times and displacements,
     piecewise linear. Without a `record` the columns are `t` and `X`, from 0 and 0 on,
-    and gaps and equal times are refused.
-
-    Raises
-    ------
-    InputError
-        With the line that cannot be used.
-    """
+    and gaps and equal times are refused. Raises InputError, with the line that cannot
+    be used."""
     field, how = f"file = {path}", record or DriveRecord()
     sheet = csv.read(path, field)
     names, strict = [how.time, how.displacement], record is None

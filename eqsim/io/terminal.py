@@ -8,12 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    ProgressColumn,
-    TextColumn,
-)
+from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -169,9 +164,8 @@ def bar(
         yield lambda *_: None
         return
     columns = _Doing("{task.description}"), BarColumn(), _Pace(unit)
-    shown = Progress(
-        *columns, console=console, transient=True, speed_estimate_period=3600.0
-    )
+    how: dict[str, Any] = {"transient": True, "speed_estimate_period": 3600.0}
+    shown = Progress(*columns, console=console, **how)
     task = shown.add_task(title, total=None)
 
     def progress(done: int, total: float) -> None:

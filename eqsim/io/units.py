@@ -9,8 +9,15 @@ from typing import NamedTuple
 
 from scipy import constants
 
-from eqsim.catalogue import ENERGY, FORCE, STRESS, Dimension, dimension, product
-from eqsim.errors import NOT_NEGATIVE, POSITIVE, InputError, require_number, shown
+from eqsim.catalogue import ENERGY, FORCE, NUMBER, STRESS, Dimension, dimension, product
+from eqsim.errors import (
+    NOT_NEGATIVE,
+    Checked,
+    InputError,
+    Positive,
+    require_number,
+    shown,
+)
 from eqsim.estimate import OBSERVABLES, Averages, Estimate
 from eqsim.laws.barrier import BARRIERS
 from eqsim.model.ensemble import Ensemble
@@ -69,8 +76,7 @@ class Units:
         return any(getattr(self, name) for name in _BASES)
 
     def size(self, of: Dimension) -> float | None:
-        """The unit of a dimension in SI units; None if a part of it is not given or no
-        SI unit."""
+        """The unit of a dimension in SI units; None if a part of it is not known."""
         powers = {name: getattr(of, name) for name in ("force", "length", "time")}
         size = 1.0
         for name in sorted(powers, key=lambda name: powers[name] < 0):
@@ -107,18 +113,14 @@ class Units:
         for name in ("length", "force"):
             label = getattr(self, name)
             if _size(name, label) is None:
-                given = f"units.{name} = {shown(label)} is none"
-                here = given if label else f"units.{name} is not given"
-                said = f"kT takes SI units of length and force, and {here}"
-                example = f"must be such as {self._examples(name)}"
-                raise InputError(
-                    f"temperature = {shown(temperature)}: {said}; {example}"
-                )
+                here = f" = {shown(label)} is none" if label else " is not given"
+                said = f"kT takes SI units of length and force, and units.{name}{here}"
+                said += f"; must be such as {self._examples(name)}"
+                raise InputError(f"temperature = {shown(temperature)}: {said}")
         return constants.k * temperature / (self.size(ENERGY) or 1.0)
 
     def kelvin(self, kT: float) -> float | None:
-        """The temperature of a `kT` in the unit of energy; None if that is not
-        known."""
+        """The temperature of a `kT` in the unit of energy; None if that is unknown."""
         size = self.size(ENERGY)
         return None if size is None else kT * size / constants.k
 
@@ -137,7 +139,7 @@ def _size(name: str, label: str) -> float | None:
 
 
 @dataclass(frozen=True)
-class Interface:
+class Interface(Checked):
     """The interface that the simulated contacts stand for, in the units of the run
     file.
 
@@ -165,15 +167,13 @@ class Interface:
     250.0
     """
 
-    area: float | None = None
-    contacts_per_area: float | None = None
-    normal_load: float | None = None
-    normal_stress: float | None = None
+    area: Positive | None = None
+    contacts_per_area: Positive | None = None
+    normal_load: Positive | None = None
+    normal_stress: Positive | None = None
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            if value is not None:
-                require_number(name, value, **POSITIVE)
+        super().__post_init__()
         given = f"normal_stress = {shown(self.normal_stress)}"
         if self.normal_stress is not None and self.normal_load is not None:
             raise InputError(f"{given}: not allowed with normal_load; give one")
@@ -198,25 +198,12 @@ class Interface:
 
 
 class Quantity(NamedTuple):
-    """A laboratory's measure of friction F/(N k).
+    """A laboratory's measure of friction F/(N k), which is `factor` times friction."""
 
-    Attributes
-    ----------
-    name : str
-        "force", "shear_stress" or "friction_coefficient".
-    symbol : str
-        F, tau or mu.
-    factor : float
-        It is `factor` times friction.
-    unit : str
-        Pa if that is known, else as in the run file; "" of a coefficient, or if no
-        units are given.
-    """
-
-    name: str
-    symbol: str
+    name: str  # "force", "shear_stress" or "friction_coefficient"
+    symbol: str  # F, tau or mu
     factor: float
-    unit: str
+    unit: str  # Pa if that is known, else the run file's; "" of a number or if unknown
 
     @property
     def label(self) -> str:
@@ -231,11 +218,9 @@ class Quantity(NamedTuple):
     def of(self, friction: Estimate) -> Estimate:
         """It, from friction, with its standard error."""
         value, stderr = friction.value, friction.stderr
-        return replace(
-            friction,
-            value=None if value is None else value * self.factor,
-            stderr=None if stderr is None else stderr * abs(self.factor),
-        )
+        value = None if value is None else value * self.factor
+        stderr = None if stderr is None else stderr * abs(self.factor)
+        return replace(friction, value=value, stderr=stderr)
 
     def near(self, friction: float) -> "Quantity":
         """This quantity in kPa, MPa or GPa, or mPa, where `friction` is some thousands
@@ -285,28 +270,24 @@ def quantities(
     return tuple(found)
 
 
-_SI = {"m": "length", "s": "time", "N": "force", "Pa": "force/length^2"}
+_SI = {"Pa": "force/length^2", "m": "length", "s": "time", "N": "force"}
 
 
 def number_and_unit(text: str) -> tuple[float | None, str]:
-    """The number that a text such as "50 N/mm" begins with, None if it does not, and
-    what follows it."""
+    """The number that a text such as "50 N/mm" begins with, if any, and the rest."""
     number = re.match(r"\s*\d*\.?\d+(e[-+]?\d+)?", text, re.IGNORECASE)
     return (float(number[0]), text[number.end() :]) if number else (None, text)
 
 
 def measured(text: str) -> tuple[float, Dimension] | None:
-    """Value in SI units and dimension of a text such as "50 N/mm"; None if it has no
-    known unit."""
+    """SI value and dimension of a text such as "50 N/mm"; None without a unit."""
     number, unit = number_and_unit(text)
     if number is None:
         return None
     value, powers = number, dict.fromkeys(Dimension._fields, 0)
     for below, part in enumerate(unit.split("/")):
         for name, power in re.findall(r"([^\s^*]+)(?:\^(\d))?", part):
-            base = next(
-                (one for one in ("Pa", "m", "s", "N") if name.endswith(one)), ""
-            )
+            base = next((one for one in _SI if name.endswith(one)), "")
             prefix = name.removesuffix(base)
             if base and prefix in _PREFIXES:
                 times = int(power or 1) * (-1 if below else 1)
@@ -327,11 +308,7 @@ def over_contacts(
     (time). `found` are the `quantities` that friction is. Raises InputError for another
     unit, and where friction is not known in this one."""
     given, size = measured(text), units.size(per)
-    kinds = {
-        "force": FORCE,
-        "shear_stress": STRESS,
-        "friction_coefficient": Dimension(),
-    }
+    kinds = {"force": FORCE, "shear_stress": STRESS, "friction_coefficient": NUMBER}
     for name, of in kinds.items():
         ours = (a - b for a, b in zip(of, per, strict=True))
         if not given or given[1] != Dimension(*ours):
@@ -340,10 +317,10 @@ def over_contacts(
         # a shear stress in known units is in Pa
         unit = units.size(of) if name == "force" else 1.0
         if one is None or size is None or units.size(of) is None or unit is None:
-            said = (
-                f"a {name.replace('_', ' ')} takes SI units of length, time and force"
+            said = f"a {name.replace('_', ' ')} takes SI units of length, time and"
+            raise InputError(
+                f"{said} force in [units], and what [interface] says of it"
             )
-            raise InputError(f"{said} in [units], and what [interface] says of it")
         return given[0] * size / (one.factor * unit)
     examples = '"50 N/mm", "0.02 MPa/um" or "1.6e-3/um"'
     if per.time:
@@ -367,10 +344,10 @@ def scales(ensemble: Ensemble, units: Units, interface: Interface) -> list[Group
     for number, alone, *_ in ensemble.kinds:
         of, k = f"{number}: " * bool(ensemble.populations), alone.stiffness
         scale, kelvin = alone.thresholds.scale, units.kelvin(alone.thermal.kT)
-        found.append(
-            group(f"{of}x_*", "length", scale, "scale of thresholds, a length")
-        )
-        found.append(group(f"{of}k", "force/length", k, "stiffness of a contact"))
+        found += [
+            group(f"{of}x_*", "length", scale, "scale of thresholds, a length"),
+            group(f"{of}k", "force/length", k, "stiffness of a contact"),
+        ]
         if kelvin is not None and not BARRIERS[alone.thermal.barrier].by_force:
             said = "temperature, kT over the constant of Boltzmann"
             found.append(Group(f"{of}T (K)", kelvin, said))

@@ -12,10 +12,11 @@ the block over n k.
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from eqsim.errors import NOT_NEGATIVE, InputError, require_number, shown
+from eqsim.errors import InputError, Limits, NotNegative, shown
 from eqsim.model.elastic import Elastic
 from eqsim.numerics.tables import Array
 
@@ -48,10 +49,10 @@ class Chain(Elastic):
     4.472
     """
 
-    mass: float = 0.0
-    damping: float = 0.0
-    bulk_damping: float = 0.0
-    tolerance: float = 1e-4
+    mass: NotNegative = 0.0
+    damping: NotNegative = 0.0
+    bulk_damping: NotNegative = 0.0
+    tolerance: Annotated[float, Limits(1e-8, 1e-1)] = 1e-4
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -59,25 +60,19 @@ class Chain(Elastic):
             raise InputError(
                 f"blocks = {shown(self.blocks)}: in time only a chain moves"
             )
-        for name in ("mass", "damping", "bulk_damping"):
-            require_number(name, getattr(self, name), **NOT_NEGATIVE)
         if not self.mass and not self.damping:
-            said = (
-                "a chain in time has a damping or a mass > 0; without them it is "
-                "quasi-static, and declared in [elastic]"
-            )
-            raise InputError(f"damping = {self.damping!r}: {said}")
+            said = "a chain in time has a damping or a mass > 0; without them it is"
+            more = "quasi-static, and declared in [elastic]"
+            raise InputError(f"damping = {self.damping!r}: {said} {more}")
         if self.drive == "edge" and self.count > 1 and self.coupling == 0.0:
             said = 'must be > 0 with drive = "edge", or nothing pulls the others'
             raise InputError(f"coupling = {self.coupling!r}: {said}")
         if self.edges == "periodic" and self.count < 3:
             raise InputError('edges = "periodic": a ring has 3 blocks or more')
-        require_number("tolerance", self.tolerance, least=1e-8, most=1e-1)
 
     @property
     def wave_speed(self) -> float:
-        """c = sqrt(K/M) of long waves without contacts (blocks per time); infinite
-        without a mass."""
+        """c = sqrt(K/M) of long waves without contacts (blocks/time), or infinite."""
         return math.sqrt(self.coupling / self.mass) if self.mass else math.inf
 
     @property
@@ -86,5 +81,5 @@ class Chain(Elastic):
         found = np.full(self.count, 2.0)
         if self.edges == "open":
             found[0] -= 1.0
-            found[-1] -= 1.0
+            found[-1] -= 1.0  # a single block has none
         return found

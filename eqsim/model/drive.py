@@ -2,16 +2,17 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
 from eqsim.errors import (
-    NOT_NEGATIVE,
     POSITIVE,
+    Checked,
     InputError,
-    require_choice,
-    require_integer,
+    Limits,
+    NotNegative,
+    Positive,
     require_number,
     shown,
     under,
@@ -22,11 +23,18 @@ from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
 Start = Literal["fresh", "stationary"]
-Rebinding = Literal["unstretched", "shared"]
+Points = Annotated[int, Limits(1, 2 * 10**7)]
+Load = Annotated[float, Limits(above=0.0, most=1e3)]
+MOST_SERIES = 20_000_000  # forces of replicas that are kept one by one
+_FIRST_LOOK = 1e-5  # at a hold, of its time; then at equal ratios
+QUASISTATIC = (
+    "coupled blocks are simulated by `elastic_trajectory` and `eqsim run` alone; "
+    "this needs a rigid slider"
+)
 
 
 @dataclass(frozen=True)
-class Drive:
+class Drive(Checked):
     """Constant velocity of a rigid slider, or of a plate that pulls coupled blocks.
 
     The blocks are declared here; a stage in `Programme(stage=...)`.
@@ -52,21 +60,17 @@ class Drive:
     5.0
     """
 
-    velocity: float
-    distance: float | None = None
+    velocity: Positive
+    distance: Positive | None = None
     start: Start = "fresh"
     elastic: Elastic | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.velocity, (np.ndarray, list, tuple)):
-            given = f"velocity = {shown(self.velocity)}"
             many = "eqsim.curve(ensemble, velocities) is exact at many"
-            also = "eqsim.sweep simulates them"
-            raise InputError(f"{given}: must be one number; {many}, {also}")
-        require_number("velocity", self.velocity, **POSITIVE)
-        if self.distance is not None:
-            require_number("distance", self.distance, **POSITIVE)
-        require_choice("start", self.start, ("fresh", "stationary"))
+            said = f"must be one number; {many}, eqsim.sweep simulates them"
+            raise InputError(f"velocity = {shown(self.velocity)}: {said}")
+        super().__post_init__()
 
     def over(self, ensemble: Ensemble) -> float:
         """The distance, with its default filled in."""
@@ -85,7 +89,7 @@ def over_distance(drive: Any, ensemble: Ensemble) -> Any:
 
 
 @dataclass(frozen=True)
-class Segment:
+class Segment(Checked):
     """A piece of a programme at constant velocity, for a `distance` or a `time`; or
     under a force that is constant or changes in proportion to time, for a `time`.
 
@@ -123,40 +127,27 @@ class Segment:
     """
 
     velocity: float = 0.0
-    distance: float | None = None
-    time: float | None = None
-    points: int | None = None
+    distance: Positive | None = None
+    time: Positive | None = None
+    points: Points | None = None
     force: float | None = None
     force_rate: float | None = None
-    load: float | None = None
+    load: Load | None = None
     load_rate: float | None = None
 
     def __post_init__(self) -> None:
-        if self.load is not None:
-            require_number("load", self.load, above=0.0, most=1e3)
-        if self.load_rate is not None:
-            require_number("load_rate", self.load_rate)
-        for name in ("force", "force_rate"):
-            if (value := getattr(self, name)) is None:
-                continue
-            require_number(name, value)
-            if self.velocity != 0 or self.distance is not None:
-                said = "not with a velocity or distance; a segment under a force has"
-                raise InputError(f"{name} = {value!r}: {said} a time")
-        require_number("velocity", self.velocity)
+        super().__post_init__()
+        if self.forced and (self.velocity != 0 or self.distance is not None):
+            name = "force_rate" if self.force is None else "force"
+            said = "not with a velocity or distance; a segment under a force has a time"
+            raise InputError(f"{name} = {getattr(self, name)!r}: {said}")
         if self.velocity != 0:
             require_number("|velocity|", abs(self.velocity), **POSITIVE)
         if (self.distance is None) == (self.time is None):
             raise InputError("distance: a segment has either a distance or a time")
-        if self.distance is not None:
-            require_number("distance", self.distance, **POSITIVE)
-            if self.velocity == 0:
-                said = "must not be 0 with a distance; a hold has a time"
-                raise InputError(f"velocity = 0.0: {said}")
-        else:
-            require_number("time", self.time or 0.0, **POSITIVE)
-        if self.points is not None:
-            require_integer("points", self.points, 1, 2 * 10**7)
+        if self.distance is not None and self.velocity == 0:
+            said = "must not be 0 with a distance; a hold has a time"
+            raise InputError(f"velocity = 0.0: {said}")
 
     @property
     def forced(self) -> bool:
@@ -179,7 +170,7 @@ class Segment:
 
 
 @dataclass(frozen=True)
-class Stage:
+class Stage(Checked):
     """A stage that follows a programme and pulls the slider through a spring:
 
         m X'' + eta_s X' = kappa_s (Y - X) - F,
@@ -210,22 +201,11 @@ class Stage:
     0.1
     """
 
-    stiffness: float
-    damping: float = 0.0
-    mass: float = 0.0
+    stiffness: Positive
+    damping: NotNegative = 0.0
+    mass: NotNegative = 0.0
     preload: float | None = None
-    tolerance: float = 1e-4
-
-    def __post_init__(self) -> None:
-        require_number("stiffness", self.stiffness, **POSITIVE)
-        require_number("damping", self.damping, **NOT_NEGATIVE)
-        require_number("mass", self.mass, **NOT_NEGATIVE)
-        if self.preload is not None:
-            require_number("preload", self.preload)
-        require_number("tolerance", self.tolerance, least=1e-8, most=1e-2)
-
-
-_FIRST_LOOK = 1e-5  # at a hold, of its time; then at equal ratios
+    tolerance: Annotated[float, Limits(1e-8, 1e-2)] = 1e-4
 
 
 class Grid(NamedTuple):
@@ -239,7 +219,7 @@ class Grid(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Programme:
+class Programme(Checked):
     """A drive in segments, each at constant velocity: steps, holds, reversals. Or each
     under a force: creep, ramps.
 
@@ -285,10 +265,10 @@ class Programme:
 
     segments: tuple[Segment, ...]
     start: Start = "fresh"
-    velocity: float | None = None
+    velocity: Positive | None = None
     stage: Stage | None = None
-    stall_force: float = math.inf
-    rebinding: Rebinding = "unstretched"
+    stall_force: Positive = math.inf
+    rebinding: Literal["unstretched", "shared"] = "unstretched"
     chain: Chain | None = None
     elastic: Elastic | None = None
 
@@ -300,14 +280,9 @@ class Programme:
             if not isinstance(segment, Segment):
                 said = "must be Segment(velocity, distance=... or time=...)"
                 raise InputError(f"programme: holds {shown(segment)}; {said}")
-        require_choice("start", self.start, ("fresh", "stationary"))
-        if self.velocity is not None:
-            require_number("velocity", self.velocity, **POSITIVE)
-        elif self.start == "stationary":
+        super().__post_init__()
+        if self.velocity is None and self.start == "stationary":
             raise InputError('velocity: is required with start = "stationary"')
-        if self.stall_force != math.inf:
-            require_number("stall_force", self.stall_force, **POSITIVE)
-        require_choice("rebinding", self.rebinding, ("unstretched", "shared"))
         if any(segment.forced for segment in self.segments):
             self._require_forces()
         elif self.rebinding == "shared":
@@ -325,21 +300,17 @@ class Programme:
     def _require_forces(self) -> None:
         """Raise InputError unless every segment has a force, and nothing else pulls."""
         if not self.forced:
-            said = (
-                "not beside segments with a velocity or hold; a programme has one kind"
-            )
-            raise InputError(f"programme: a segment has a force, {said}")
-        given = {
-            "stage": self.stage is not None,
-            "chain": self.chain is not None,
-            "stall_force": self.stall_force != math.inf,
-            "start": self.start != "fresh",
-        }
-        for name in (name for name, there in given.items() if there):
-            said = 'must be "fresh"' if name == "start" else "not allowed"
-            raise InputError(
-                f"{name}: {said} with a force, which pulls the slider itself"
-            )
+            said = "a segment has a force, not beside segments with a velocity or hold"
+            raise InputError(f"programme: {said}; a programme has one kind")
+        for name, there, said in (
+            ("stage", self.stage is not None, "not allowed"),
+            ("chain", self.chain is not None, "not allowed"),
+            ("stall_force", self.motor, "not allowed"),
+            ("start", self.start != "fresh", 'must be "fresh"'),
+        ):
+            if there:
+                pulls = "with a force, which pulls the slider itself"
+                raise InputError(f"{name}: {said} {pulls}")
 
     def _require_forwards(self) -> None:
         """Raise InputError unless a plate alone pulls blocks, forwards."""
@@ -351,18 +322,15 @@ class Programme:
                 given = f"programme.{index}.velocity = {segment.velocity!r}"
                 raise InputError(f"{given}: must be >= 0 with [elastic]")
         if not any(segment.velocity for segment in self.segments):
-            said = "no segment moves; blocks begin unstretched"
-            raise InputError(f"programme: {said}")
+            raise InputError("programme: no segment moves; blocks begin unstretched")
 
     def _require_loads(self) -> None:
         """Raise InputError where a load cannot change, or falls to 0 or less."""
         load = 1.0
         for index, segment in enumerate(self.segments if self.loaded else ()):
             if self.pulled:
-                said = (
-                    "not with a stage, blocks, a force or a motor, which find X with it"
-                )
-                raise InputError(f"programme.{index}.load: {said}")
+                said = "not with a stage, blocks, a force or a motor, which find X"
+                raise InputError(f"programme.{index}.load: {said} with it")
             load = segment.load or load
             load += (segment.load_rate or 0.0) * segment.duration
             with under(f"programme.{index}"):
@@ -416,17 +384,14 @@ class Programme:
         parts = [Grid(np.zeros(1), np.zeros(1), np.zeros(1, np.int64))]
         for index, segment in enumerate(self.segments):
             n, (t, X, _) = segment.points or share, parts[-1]
-            even = segment.load_rate is not None
-            if segment.velocity == 0:
-                along: Array = np.zeros(n)
-                ramp = np.arange(1, n + 1) / n
-                looks = np.flip(np.geomspace(1.0, _FIRST_LOOK, n))
-                elapsed: Array = segment.duration * (
-                    ramp if segment.force_rate or even else looks
-                )
+            along = np.arange(1, n + 1) * (segment.path / n)
+            if segment.velocity != 0:
+                elapsed = along / abs(segment.velocity)
+            elif segment.force_rate or segment.load_rate is not None:
+                elapsed = segment.duration * (np.arange(1, n + 1) / n)
             else:
-                along = np.arange(1, n + 1) * (segment.path / n)
-                elapsed = np.asarray(along / abs(segment.velocity))
+                looks = np.flip(np.geomspace(1.0, _FIRST_LOOK, n))
+                elapsed = segment.duration * looks
             there = X[-1] + math.copysign(1.0, segment.velocity) * along
             parts.append(Grid(t[-1] + elapsed, there, np.full(n, index)))
         return Grid(*map(np.concatenate, zip(*parts, strict=True)))
@@ -451,18 +416,12 @@ def require_drive(drive: Drive | Programme) -> Drive:
         said = "must be a Drive, for example Drive(velocity=0.1)"
         raise InputError(f"drive = {shown(drive)}: {said}")
     if drive.elastic is not None:
-        said = (
-            "coupled blocks are simulated by `elastic_trajectory` and `eqsim run` alone"
-        )
-        raise InputError(f"elastic: {said}; this needs a rigid slider")
+        raise InputError(f"elastic: {QUASISTATIC}")
     return drive
 
 
-MOST_SERIES = 20_000_000  # forces of replicas that are kept one by one
-
-
 @dataclass(frozen=True)
-class Output:
+class Output(Checked):
     """The recording of a run.
 
     Raises InputError for a value out of range.
@@ -481,29 +440,20 @@ class Output:
         Whether every break is listed.
     """
 
-    points: int = 2001
-    seed: int = 1
-    replicas: int = 1
+    points: Annotated[int, Limits(2, 2 * 10**7)] = 2001
+    seed: Annotated[int, Limits(0, 2**63 - 1)] = 1
+    replicas: Annotated[int, Limits(1, 10**9)] = 1
     series: bool = False
     breaks: bool = False
 
     def __post_init__(self) -> None:
-        check_output(self.points, self.seed, self.replicas)
+        super().__post_init__()
         if self.series and self.replicas == 1:
-            said = (
-                "writes the force of every replica; needs output.replicas of 2 or more"
-            )
-            raise InputError(f"series: {said}")
+            said = "writes the force of every replica"
+            raise InputError(f"series: {said}; needs output.replicas of 2 or more")
         forces = self.replicas * self.points
         if self.series and forces > MOST_SERIES:
             size = f"output.replicas x output.points = {forces:.3g}"
             raise InputError(
                 f"series: {size}; at most {MOST_SERIES:.0e} forces are kept"
             )
-
-
-def check_output(points: int, seed: int, replicas: int) -> None:
-    """Raise InputError unless the size and seed of a recording can be used."""
-    require_integer("points", points, 2, 2 * 10**7)
-    require_integer("seed", seed, 0, 2**63 - 1)
-    require_integer("replicas", replicas, 1, 10**9)

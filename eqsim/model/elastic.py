@@ -13,28 +13,28 @@ moves block j by G_ji k x, G = (diag(K_j + n_j k) + kappa_b L)^-1.
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from eqsim.errors import (
+    Checked,
     InputError,
-    require_choice,
+    Limits,
     require_integer,
     require_number,
     shown,
 )
 from eqsim.numerics.tables import Array
 
-Edges = Literal["open", "periodic"]
-Driven = Literal["plate", "edge", "both"]
+Spring = Annotated[float, Limits(1e-6, 1e6)]  # avalanches have at most 1e6 breaks
 _MOST_BLOCKS = 10_000_000
 # Share of a block's response to its own breaks that rounding of positions hides
 _NEGLIGIBLE = 1e-12
 
 
 @dataclass(frozen=True)
-class Elastic:
+class Elastic(Checked):
     """A chain or a sheet of blocks of contacts, which a plate pulls (derived). It is
     declared in `Drive(elastic=...)`.
 
@@ -70,14 +70,15 @@ class Elastic:
     """
 
     blocks: int | tuple[int, int]
-    coupling: float
-    drive_stiffness: float
-    edges: Edges = "open"
-    drive: Driven = "plate"
-    edge_stiffness: float | None = None
+    coupling: Annotated[float, Limits(0.0, 1e9)]
+    drive_stiffness: Spring
+    edges: Literal["open", "periodic"] = "open"
+    drive: Literal["plate", "edge", "both"] = "plate"
+    edge_stiffness: Spring | None = None
     load: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if isinstance(self.blocks, (tuple, list)):
             if len(self.blocks) != 2:
                 said = "must be a number of blocks, or two, [nx, ny]"
@@ -86,16 +87,9 @@ class Elastic:
         for number in self.shape:
             require_integer("blocks", number, 1, _MOST_BLOCKS)
         require_integer("blocks", self.count, 1, _MOST_BLOCKS)
-        require_number("coupling", self.coupling, least=0.0, most=1e9)
-        # avalanches of 1e6 breaks
-        require_number("drive_stiffness", self.drive_stiffness, least=1e-6, most=1e6)
-        require_choice("edges", self.edges, ("open", "periodic"))
-        require_choice("drive", self.drive, ("plate", "edge", "both"))
         if (self.drive == "both") != (self.edge_stiffness is not None):
             said = "is required with" if self.drive == "both" else "not allowed unless"
             raise InputError(f'edge_stiffness: {said} drive = "both"')
-        if self.edge_stiffness is not None:
-            require_number("edge_stiffness", self.edge_stiffness, least=1e-6, most=1e6)
         if self.load is not None:
             if not np.iterable(self.load):
                 said = "must be numbers, one for each block"
@@ -152,19 +146,16 @@ class Elastic:
 
     @property
     def branching(self) -> float:
-        """rho = n k/(n k + K_d), how many breaks follow from one directly, in
-        the mean."""
+        """rho = n k/(n k + K_d), how many breaks follow from one in the mean."""
         return 1.0 / (1.0 + self.drive_stiffness)
 
     @property
     def mean_size(self) -> float:
-        """1 + n k/K_d, breaks of an avalanche in the mean of infinitely many
-        contacts."""
+        """1 + n k/K_d, breaks of an avalanche in the mean, of very many contacts."""
         return 1.0 + 1.0 / self.drive_stiffness
 
     def contacts_per_block(self, count: int) -> int:
-        """n, of `count` contacts. Raises InputError unless they can be divided
-        equally."""
+        """n, of `count` contacts. Raises InputError if they cannot be divided."""
         if count % self.count:
             said = f"must be a multiple of the {self.count} blocks of [elastic]"
             raise InputError(f"contacts.count = {count}: {said}")

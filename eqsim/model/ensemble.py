@@ -3,15 +3,14 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from eqsim.errors import (
-    NOT_NEGATIVE,
-    POSITIVE,
+    Checked,
     InputError,
-    require_choice,
-    require_integer,
-    require_number,
+    Limits,
+    NotNegative,
+    Positive,
     shown,
     under,
 )
@@ -31,7 +30,7 @@ Disorder = Literal["quenched", "annealed"]
 
 
 @dataclass(frozen=True)
-class Population:
+class Population(Checked):
     """Contacts of one kind in an ensemble of several, such as strong and weak ones.
 
     Raises InputError for a share out of range.
@@ -51,16 +50,13 @@ class Population:
     1.4
     """
 
-    share: float
+    share: Positive
     stiffness: float | None = None
     thresholds: ThresholdLaw | None = None
     thermal: Thermal | None = None
     delay: Delay | None = None
     aging: Aging | None = None
     newborn: Newborn | None = None
-
-    def __post_init__(self) -> None:
-        require_number("share", self.share, **POSITIVE)
 
 
 class Kind(NamedTuple):
@@ -80,8 +76,7 @@ class Kind(NamedTuple):
 
 
 def split(count: int, shares: Sequence[float]) -> list[int]:
-    """Divide `count` in proportion to `shares` by largest remainders, of equal ones the
-    first."""
+    """Divide `count` in proportion to `shares` by largest remainders."""
     exact = [count * share / math.fsum(shares) for share in shares]
     numbers = [math.floor(number) for number in exact]
     by_rest = sorted(range(len(exact)), key=lambda i: numbers[i] - exact[i])
@@ -91,7 +86,7 @@ def split(count: int, shares: Sequence[float]) -> list[int]:
 
 
 @dataclass(frozen=True)
-class Ensemble:
+class Ensemble(Checked):
     """N contacts of one kind (section 1 of Braun and Peyrard, 2011), or of several.
 
     Raises InputError for a value out of range, or laws that do not go together.
@@ -140,11 +135,11 @@ class Ensemble:
     thermal: Thermal = Thermal()
     delay: Delay = Delay()
     aging: Aging = Aging()
-    count: int = 100_000
-    stiffness: float = 1.0
+    count: Annotated[int, Limits(1, 10**12)] = 100_000
+    stiffness: Positive = 1.0
     stiffness_law: StiffnessLaw = "sqrt"
     disorder: Disorder = "quenched"
-    eta: float = 0.0
+    eta: NotNegative = 0.0
     newborn: Newborn = Newborn()
     viscosity: Viscosity = Viscosity()
     populations: Sequence[Population] = ()
@@ -153,18 +148,7 @@ class Ensemble:
         if not hasattr(self.thresholds, "declared"):
             said = "must be a law of thresholds, such as Gamma(1.0)"
             raise InputError(f"thresholds = {shown(self.thresholds)}: {said}")
-        for kind in (Thermal, Delay, Aging, Newborn, Viscosity):
-            name = kind.__name__.lower()
-            given = getattr(self, name)
-            if not isinstance(given, kind):
-                raise InputError(
-                    f"{name} = {shown(given)}: must be {kind.__name__}(...)"
-                )
-        require_integer("count", self.count, 1, 10**12)
-        require_number("stiffness", self.stiffness, **POSITIVE)
-        require_choice("stiffness_law", self.stiffness_law, ("sqrt", "uniform"))
-        require_choice("disorder", self.disorder, ("quenched", "annealed"))
-        require_number("eta", self.eta, **NOT_NEGATIVE)
+        super().__post_init__()
         if isinstance(self.thresholds, NoThresholds):
             self._make_unlimited(self.thresholds)
         self.aging.check(self.thresholds, self.disorder)
@@ -233,48 +217,33 @@ class Ensemble:
         born = self.newborn.declared if self.newborn.active else ()
         scale = 1.0 if self.newborn.of == "threshold" else unit
         births = (part if isinstance(part, str) else part / scale for part in born)
-        return (
-            self.disorder,
-            self.stiffness_law,
-            *law,
-            thermal.barrier,
-            *numbers,
-            delay.law,
-            self.delay_time(velocity) * velocity / unit,
-            *delay.parameters,
-            *ages,
-            *births,
-        )
+        kind = self.disorder, self.stiffness_law, *law, thermal.barrier, *numbers
+        waits = self.delay_time(velocity) * velocity / unit, *delay.parameters
+        return (*kind, delay.law, *waits, *ages, *births)
 
     def delay_time(self, velocity: float) -> float:
         """Mean delay (time) at the ensemble's temperature and a velocity."""
         return self.delay.at(self.thermal.kT, velocity).time
 
     def require_steady_state(self) -> None:
-        """Raise InputError if no contact is pinned in the steady state, as none forms
-        again."""
+        """Raise InputError if no contact forms again and none is pinned in the end."""
         if self.delay_time(1.0) == math.inf:
-            raise InputError(
-                "delay.time = inf: no contact forms again, and none is pinned in the "
-                'steady state; take drive.start = "fresh"'
-            )
+            said = "no contact forms again, and none is pinned in the steady state"
+            raise InputError(f'delay.time = inf: {said}; take drive.start = "fresh"')
 
     @property
     def self_consistent(self) -> bool:
-        """True if births depend on the mean pinned time: annealed contacts that age at
-        a finite rate."""
+        """True if births depend on the mean pinned time: annealed, of finite aging."""
         finite = self.aging.active and self.aging.rate < math.inf
         return finite and self.disorder == "annealed"
 
     @property
     def fluctuates(self) -> bool:
-        """True if thresholds fluctuate while pinned: quenched contacts that age by
-        `langevin`."""
+        """True if thresholds fluctuate while pinned: quenched, aging by `langevin`."""
         if self.populations:
             return any(kind.contacts.fluctuates for kind in self.kinds)
-        aging = self.aging
-        fluctuate = aging.active and RULES[aging.rule].fluctuates
-        return fluctuate and self.disorder == "quenched"
+        quenched, aging = self.disorder == "quenched", self.aging
+        return quenched and aging.active and RULES[aging.rule].fluctuates
 
     @property
     def divergence(self) -> str:

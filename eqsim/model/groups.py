@@ -23,8 +23,7 @@ _DOUBTFUL_DISTANCE = 1e-4
 
 
 class Group(NamedTuple):
-    """A dimensionless group, or a scale, of a run: its usual name, value and
-    meaning."""
+    """A dimensionless group, or a scale, of a run: its name, value and meaning."""
 
     name: str
     value: float | str
@@ -71,8 +70,8 @@ def _of_contacts(ensemble: Ensemble, v: float) -> Rows:
         yield "b", b, f"{barrier.b_words}, force at x_* of a {thermal.barrier} bond"
         name, said = "v/(k_0 x_*)", "velocity in x_* per mean life at zero force"
     else:
-        said_of_b = f"barrier over temperature ({equation('nt08a')})"
-        yield "b", b, f"k x_*^2 / (2 kT), {said_of_b}"
+        cited = equation("nt08a")
+        yield "b", b, f"k x_*^2 / (2 kT), barrier over temperature ({cited})"
         cold = f"temperature over its crossover ({equation('nt09a')})"
         yield "T/T_*", 0.0 if math.isinf(b) else 1.0 / b, cold
     if rate > 0:
@@ -80,12 +79,8 @@ def _of_contacts(ensemble: Ensemble, v: float) -> Rows:
     star = ensemble.crossover_velocity if law.steps.size <= MOST_POOLED_STEPS else 0.0
     if 0 < star < math.inf:
         where = "" if annealed else ", not of these quenched contacts"
-        solved = f"Delta U(inf) = 1 ({equation('nt12')}; derived)"
-        yield (
-            "v_*",
-            star,
-            f"crossover velocity of the annealed ensemble{where}, {solved}",
-        )
+        said = f"crossover velocity of the annealed ensemble{where}"
+        yield "v_*", star, f"{said}, Delta U(inf) = 1 ({equation('nt12')}; derived)"
         below = "below 1, thermal breaking decides (annealed ensemble only)"
         yield "v/v_*", v / star, below
     if aging.active and aging.cutoff_time is not None:
@@ -126,14 +121,15 @@ def _of_programme(ensemble: Ensemble, programme: Programme, v: float) -> Rows:
         return
     if programme.elastic:
         yield from _of_blocks(ensemble.count, programme.elastic)
+    if programme.elastic or not programme.pulled:
         return
-    pull = pull_of(ensemble, programme) if programme.pulled else None
-    if pull and programme.forced:
+    pull = pull_of(ensemble, programme)
+    if programme.forced:
         most = float(max(map(abs, pull.knots[1])))
         yield "f/x_*", most, "largest force on the slider, over N k"
-    if pull and programme.motor:
+    if programme.motor:
         yield "s/x_*", pull.stall, "stall force of the motor, over N k"
-    if pull and programme.stage:
+    if programme.stage:
         spring = "spring of the stage over that of all contacts, K/(N k)"
         yield "kappa_s", pull.stiffness, spring
         yield "eta_s v/x_*", pull.damping, "damping of the slider at that velocity"
@@ -142,15 +138,11 @@ def _of_programme(ensemble: Ensemble, programme: Programme, v: float) -> Rows:
 
 def _of_tails(ensemble: Ensemble) -> Rows:
     """The answer to whether rare strong contacts dominate averages over time."""
-    law, aging, greatest = (
-        ensemble.thresholds,
-        ensemble.aging,
-        ensemble.thresholds.support[1],
-    )
+    law, aging = ensemble.thresholds, ensemble.aging
     quenched = ensemble.disorder == "quenched"
     if not (ensemble.thermal.active and quenched) or law.steps.size:
         return
-    if greatest < math.inf:
+    if (greatest := law.support[1]) < math.inf:
         yield "heavy tails", "no", f"no threshold exceeds {greatest:g}"
     elif aging.active and aging.cutoff_time is not None:
         why = "at every kT: thresholds that grow as ln t outlive all attempts"
@@ -167,8 +159,7 @@ def _of_tails(ensemble: Ensemble) -> Rows:
 
 
 def _of_blocks(contacts: int, elastic: Elastic) -> Rows:
-    """Groups of coupled blocks. Raises InputError unless the contacts can be divided
-    among them."""
+    """Groups of coupled blocks. Raises InputError if contacts cannot be divided."""
     nx, ny = elastic.shape
     kind, shape = ("chain", f"{nx}") if ny == 1 else ("sheet", f"{nx} x {ny}")
     yield "blocks", shape, f"{kind} with {elastic.edges} edges"
@@ -199,8 +190,7 @@ def _of_blocks(contacts: int, elastic: Elastic) -> Rows:
 
 
 def _of_chain(chain: Chain, rate: float) -> Rows:
-    """Groups of a chain that moves in time; `rate` is the velocity over the threshold
-    scale."""
+    """Groups of a chain in time; `rate` is the velocity over the threshold scale."""
     if chain.mass:
         c = chain.wave_speed
         yield "c", c, "sqrt(K/M), speed of waves without contacts, blocks per time"

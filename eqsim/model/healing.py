@@ -73,27 +73,22 @@ def healing_law(hold: Array, healing: Array, stderr: Array) -> Healing | None:
         return None
     # the cutoff by its logarithm, which is positive
     start = float(np.ptp(y)) / math.log10(t.max() / t.min()), math.log(np.median(t))
+
+    def law(hold: Array, rate: float, log_cutoff: float) -> Array:
+        return _law(hold, rate, math.exp(min(log_cutoff, 500.0)))
+
     try:
-        (rate, log_cutoff), covariance = optimize.curve_fit(
-            lambda x, rate, log: _law(x, rate, math.exp(min(log, 500.0))),
-            t,
-            y,
-            start,
-            error,
-            absolute_sigma=True,
-        )
+        found = optimize.curve_fit(law, t, y, start, error, absolute_sigma=True)
     except RuntimeError:
         return None
+    (rate, log_cutoff), covariance = found
     cutoff, dof = math.exp(min(log_cutoff, 500.0)), t.size - 2
     chi_square = float(np.sum(((y - _law(t, rate, cutoff)) / error) ** 2))
     wider = math.sqrt(max(chi_square / dof, 1.0))
     errors = wider * np.sqrt(np.diag(covariance))
     if not np.all(np.isfinite(errors)):
         return None
-    sure = bool(errors[1] < 1.0)  # the cutoff is known to a factor of e
-    return Healing(
-        Estimate(float(rate), float(errors[0]), t.size, None, sure),
-        Estimate(cutoff, float(errors[1]) * cutoff, t.size, None, sure),
-        chi_square,
-        dof,
-    )
+    how = (t.size, None, bool(errors[1] < 1.0))  # the cutoff is known to a factor of e
+    slope = Estimate(float(rate), float(errors[0]), *how)
+    beyond = Estimate(cutoff, float(errors[1]) * cutoff, *how)
+    return Healing(slope, beyond, chi_square, dof)

@@ -25,23 +25,13 @@ _MOST_BIRTHS = 16  # instants at which a load that grows at a rate adds contacts
 
 
 class Births(NamedTuple):
-    """Contacts that are born together, at the start or where the load grows.
+    """Contacts that are born together, at the start or where the load grows; arrays
+    (points,)."""
 
-    Attributes
-    ----------
-    programme : Programme
-        The programme from then on, at a constant load.
-    since : int
-        The first instant of the whole record at which they are there.
-    weight, coarse : ndarray, shape (points,)
-        Their number over that of all at the start; and if they were added at half as
-        many instants.
-    """
-
-    programme: Programme
-    since: int
-    weight: Array
-    coarse: Array
+    programme: Programme  # from then on, at a constant load
+    since: int  # the first instant of the whole record at which they are there
+    weight: Array  # their number over that of all at the start
+    coarse: Array  # the same, if they were added at half as many instants
 
 
 def births_of(programme: Programme, points: int) -> tuple[Grid, list[Births]]:
@@ -50,13 +40,10 @@ def births_of(programme: Programme, points: int) -> tuple[Grid, list[Births]]:
     sizes = np.bincount(grid.segment)
     sizes[0] -= 1
     ends = np.cumsum(sizes)
-    plain = [
-        # equidistant instants remain so
-        replace(
-            segment, points=int(size), load=None, load_rate=segment.load_rate and 0.0
-        )
-        for segment, size in zip(programme.segments, sizes, strict=True)
-    ]
+    plain = []
+    for segment, size in zip(programme.segments, sizes, strict=True):
+        even = segment.load_rate and 0.0  # equidistant instants remain so
+        plain.append(replace(segment, points=int(size), load=None, load_rate=even))
     left, load = np.ones(grid.t.size), 1.0
     # segment, instant in it, numbers along the record over what is left of earlier
     # contacts then
@@ -139,14 +126,11 @@ class _Share(NamedTuple):
 
 def _padded(births: Births, result: Any) -> Any:
     """A result of contacts born along a record, with zeros before they are there."""
-    points = births.weight.size - births.since
-    every = ((field.name, getattr(result, field.name)) for field in fields(result))
-    columns = {name: x for name, x in every if isinstance(x, np.ndarray)}
-    before = {
-        name: np.zeros((*x.shape[:-1], births.since)) for name, x in columns.items()
-    }
-    padded = {
-        name: np.concatenate((before[name], x[..., x.shape[-1] - points :]), axis=-1)
-        for name, x in columns.items()
-    }
+    points, padded = births.weight.size - births.since, {}
+    for field in fields(result):
+        x = getattr(result, field.name)
+        if isinstance(x, np.ndarray):
+            before = np.zeros((*x.shape[:-1], births.since))
+            there = x[..., x.shape[-1] - points :]
+            padded[field.name] = np.concatenate((before, there), axis=-1)
     return replace(result, **padded)

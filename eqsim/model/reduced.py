@@ -32,6 +32,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,7 +47,7 @@ from eqsim.laws.no_thresholds import BEYOND, NoThresholds
 from eqsim.laws.stiffness import Springs, StiffnessLaw
 from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.laws.viscosity import Viscosity
-from eqsim.model.drive import Programme
+from eqsim.model.drive import QUASISTATIC, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
@@ -64,41 +65,21 @@ _LARGEST_POOLED_B = 1e15
 
 
 class Reduced(NamedTuple):
-    """An ensemble at constant velocity in dimensionless numbers.
+    """An ensemble at constant velocity in dimensionless numbers; lengths are in units of
+    `law.scale`, but for those of the laws of thresholds and births, the user's.
 
-    Attributes
-    ----------
-    law : ThresholdLaw
-        Thresholds at birth, in the user's unit; lengths elsewhere are in units of
-        `law.scale`.
-    stiffness : str
-        "sqrt" or "uniform".
-    annealed : bool
-        Whether attempts draw fresh thresholds, and it makes a difference.
-    barrier : Barrier
-        With b = k x_*^2/(2 kT) (nt08a) and log_w = ln(omega x_*/v); `Mechanical` where
-        heat breaks no contact.
-    aging : AgingLaw
-        Of quenched contacts, with the numbers of its rule (`laws.aging.base`,
-        `laws.aging.logarithmic`).
-    delay : DelayLaw
-        With mean v<tau>/x_*.
-    drag : float
-        Force of a detached contact over k x_*, such as eta v/(k x_*).
-    newborn : Newborn
-        Stretches at birth, in the user's unit.
-    one_sided : bool
-        Whether the threshold of a newborn contact has to be above y, not |y|: the
-        published master equation.
+    The barrier has b = k x_*^2/(2 kT) (nt08a) and log_w = ln(omega x_*/v), and is
+    `Mechanical` where heat breaks no contact. If `one_sided`, the threshold of a newborn
+    contact has to be above y, not |y|: the published master equation.
     """
 
-    law: ThresholdLaw
+    law: ThresholdLaw  # at birth
     stiffness: StiffnessLaw
-    annealed: bool
+    annealed: bool  # attempts draw fresh thresholds, and it makes a difference
     barrier: Barrier
-    aging: AgingLaw
-    delay: DelayLaw
-    drag: float
+    aging: AgingLaw  # of quenched contacts
+    delay: DelayLaw  # with mean v<tau>/x_*
+    drag: float  # force of a detached contact over k x_*, such as eta v/(k x_*)
     newborn: Newborn = Newborn()
     one_sided: bool = False
 
@@ -110,11 +91,9 @@ class Reduced(NamedTuple):
     @property
     def springs(self) -> Springs:
         """k_i/k for kernels."""
-        return (
-            Springs(0.0, self.law.scale / self.law.rms)
-            if self.stiffness == "sqrt"
-            else Springs(1.0, 0.0)
-        )
+        if self.stiffness == "uniform":
+            return Springs(1.0, 0.0)
+        return Springs(0.0, self.law.scale / self.law.rms)
 
 
 def bare(ensemble: Ensemble) -> Ensemble:
@@ -162,23 +141,13 @@ def reduced(
 
 
 class Leg(NamedTuple):
-    """A segment of a programme in dimensionless numbers.
-
-    Attributes
-    ----------
-    sign : int
-        Of the velocity; 0 in a hold.
-    pace : float
-        The velocity at which its time counts as displacement: |v|, in a hold that of a
-        segment that moves.
-    length : float
-        Its time at that pace, in units of the threshold law's scale: how far the slider
-        moves unless it is a hold.
+    """A segment of a programme in dimensionless numbers. Its time counts as displacement
+    at the `pace` |v|, in a hold that of a segment that moves.
     """
 
-    sign: int
-    pace: float
-    length: float
+    sign: int  # of the velocity; 0 in a hold
+    pace: float  # (length/time)
+    length: float  # its time at that pace, in units of the threshold law's scale
 
 
 def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
@@ -224,34 +193,17 @@ class Pull(NamedTuple):
         m X'' + c X' = kappa (Y - X) + f(t) - F
 
     with the end of the spring at Y. Without a spring, kappa = 0.
-
-    Attributes
-    ----------
-    pace : float
-        That of the fastest segment.
-    stiffness, damping, mass : float
-        kappa_s, eta_s v/x_* and m v^2/x_*^2 at that pace.
-    ends : sequence of float
-        When segments end.
-    speeds : sequence of float
-        Of the stage or of an unloaded motor in each, in units of the pace.
-    forces : sequence of float
-        f at the beginning of each; 0 without a force.
-    force_rates : sequence of float
-        Change of f per time in each.
-    stall : float
-        Stall force s of a motor, else infinite.
     """
 
-    pace: float
-    stiffness: float
-    damping: float
-    mass: float
-    ends: Sequence[float]
-    speeds: Sequence[float]
-    forces: Sequence[float] = ()
-    force_rates: Sequence[float] = ()
-    stall: float = math.inf
+    pace: float  # that of the fastest segment
+    stiffness: float  # kappa_s
+    damping: float  # eta_s v/x_* at that pace
+    mass: float  # m v^2/x_*^2 at that pace
+    ends: Sequence[float]  # when segments end
+    speeds: Sequence[float]  # of the stage or unloaded motor in each, over the pace
+    forces: Sequence[float] = ()  # f at the beginning of each; 0 without a force
+    force_rates: Sequence[float] = ()  # change of f per time in each
+    stall: float = math.inf  # stall force s of a motor
 
     @property
     def motor(self) -> bool:
@@ -295,49 +247,36 @@ def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
         said = "a chain of blocks is simulated by `trajectory` and `eqsim run` alone"
         raise InputError(f"drive.chain: {said}; this needs a rigid slider")
     if programme.elastic:
-        said = (
-            "coupled blocks are simulated by `elastic_trajectory` and `eqsim run` alone"
-        )
-        raise InputError(f"drive.elastic: {said}; this needs a rigid slider")
+        raise InputError(f"drive.elastic: {QUASISTATIC}")
     if not programme.pulled:
         raise InputError("drive.stage: is required")
     pace = max(leg.pace for leg in legs(ensemble, programme))
-    stiffness = stage.stiffness if stage else 0.0
-    damping = stage.damping * pace / unit if stage else 0.0
-    mass = stage.mass * (pace / unit) ** 2 if stage else 0.0
+    stiffness = damping = mass = 0.0
+    if stage:
+        stiffness, damping = stage.stiffness, stage.damping * pace / unit
+        mass = stage.mass * (pace / unit) ** 2
     force, forces, rates = 0.0, [], []
     for segment in programme.segments:
         force = force if segment.force is None else segment.force
         forces.append(force / unit)
         rates.append((segment.force_rate or 0.0) / pace)
         force += (segment.force_rate or 0.0) * segment.duration
-    for name, value in (
-        ("force / threshold", max(map(abs, forces))),
-        ("force_rate / velocity", max(map(abs, rates))),
+    for name, values in (
+        ("force / threshold", forces),
+        ("force_rate / velocity", rates),
     ):
-        require_number(name, value, least=0, most=1e100)
+        require_number(name, max(map(abs, values)), **NOT_NEGATIVE)
     stall = programme.stall_force / unit
     if stall != math.inf:
         require_number("stall_force / threshold", stall, least=1e-100, most=1e100)
     with under("stage"):
-        require_number("damping * velocity / threshold", damping, least=0, most=1e100)
-        require_number("mass * velocity^2 / threshold^2", mass, least=0, most=1e100)
-    ends, elapsed = [], 0.0
-    for segment in programme.segments:
-        elapsed += segment.duration * pace / unit
-        ends.append(elapsed)
+        require_number("damping * velocity / threshold", damping, **NOT_NEGATIVE)
+        require_number("mass * velocity^2 / threshold^2", mass, **NOT_NEGATIVE)
+    lasting = (segment.duration * pace / unit for segment in programme.segments)
     speeds = tuple(segment.velocity / pace for segment in programme.segments)
-    return Pull(
-        pace=pace,
-        stiffness=stiffness,
-        damping=damping,
-        mass=mass,
-        ends=tuple(ends),
-        speeds=speeds,
-        forces=tuple(forces),
-        force_rates=tuple(rates),
-        stall=stall,
-    )
+    spring = pace, stiffness, damping, mass
+    course = tuple(accumulate(lasting)), speeds, tuple(forces), tuple(rates)
+    return Pull(*spring, *course, stall)
 
 
 def births(
@@ -360,8 +299,7 @@ def births(
 
 
 def delay_of(ensemble: Ensemble, velocity: float) -> DelayLaw:
-    """The law of v tau/x_*. Raises InputError if its mean is beyond 1e100, but
-    finite."""
+    """The law of v tau/x_*. Raises InputError if its mean, if finite, is over 1e100."""
     delay = ensemble.delay.at(ensemble.thermal.kT, velocity)
     law = delay.reduced(velocity, ensemble.thresholds.scale)
     if law.mean != math.inf:
@@ -382,8 +320,7 @@ def drag_of(ensemble: Ensemble, velocity: float) -> float:
 
 
 def _check_unlimited(law: NoThresholds, barrier: Barrier) -> None:
-    """Raise InputError unless contacts without thresholds break within what stands for
-    an infinite one."""
+    """Raise InputError unless contacts without thresholds break before `BEYOND`."""
     if not barrier.thermal:
         raise InputError(
             'thresholds.law = "none": needs a rate > 0 that breaks contacts'

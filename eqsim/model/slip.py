@@ -30,6 +30,5 @@ def width_of(law: ThresholdLaw) -> float:
 
 
 def least_slip(law: ThresholdLaw) -> float:
-    """Shortening of the spring in the smallest motion that counts as a slip
-    (length)."""
+    """Shortening of the spring in the smallest motion that is a slip (length)."""
     return LEAST_SLIP * width_of(law)

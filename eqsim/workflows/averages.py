@@ -25,23 +25,18 @@ class SteadyResult(FileResult):
 
     def scores(self) -> dict[str, float | None]:
         """z of each average, None where there is no exact value."""
-        found, exact = self.steady.averages(), self.exact.solution
-        if exact is None:
-            return dict.fromkeys(found)
-        levels = {name: getattr(exact, name) for name in found}
-        return {
-            name: None
-            if level.value is None
-            else z_score(found[name], level.value, level.stderr or 0.0)
-            for name, level in levels.items()
-        }
+        scores: dict[str, float | None] = {}
+        for name, found in self.steady.averages().items():
+            level: Any = getattr(self.exact.solution, name, None)
+            known = level is not None and level.value is not None
+            exact = (level.value, level.stderr or 0.0) if known else None
+            scores[name] = exact and z_score(found, *exact)
+        return scores
 
     def summary(self) -> dict[str, Any]:
         steady, exact = self.steady, self.exact.solution
         averages, divergence = steady.averages(), self.ensemble.divergence
-        values = {
-            name: getattr(exact, name).value if exact else None for name in averages
-        }
+        values = {k: getattr(exact, k).value if exact else None for k in averages}
         return {
             **{name: estimate.as_dict() for name, estimate in averages.items()},
             **{"lives": steady.lives, "seed": steady.seed, "reached": steady.reached},
@@ -127,8 +122,9 @@ def simulated(file: RunFile, **settings: Any) -> SteadyResult:
 
 def exact(file: RunFile, variance: bool) -> ReferenceResult:
     """Exact steady averages of a run file. Raises InputError."""
-    found = reference(file.ensemble, file.drive, variance=variance)
-    return ReferenceResult(file, found)
+    return ReferenceResult(
+        file, reference(file.ensemble, file.drive, variance=variance)
+    )
 
 
 def unit_column(rows: list[tuple[str, Row]]) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from eqsim.io.runfile import RunFile
 from eqsim.io.states import kept
 from eqsim.lazy import lazily
 from eqsim.model.drive import Programme
-from eqsim.workflows.report import Progress, Solved
+from eqsim.workflows.report import How, Solved
 from eqsim.workflows.run import ProgrammeResult
 
 with lazily():
@@ -37,14 +37,12 @@ class ChainResult(ProgrammeResult):
         run = self.trajectory
         means = {name: getattr(run, name).as_dict() for name in _MEANS}
         whole = run.events["blocks"] == run.chain.count
-        found = {
-            **{"events": whole.size, "full_events": int(whole.sum())},
-            "fronts": run.fronts["t"].size,
-            "wave_speed": run.chain.wave_speed if run.chain.mass else None,
-            **{"gini": run.gini, "correlation_length": run.correlation_length},
-            "steps": sum(run.steps),
-        }
-        return super().summary() | means | found
+        found = {"events": whole.size, "full_events": int(whole.sum())}
+        found["fronts"] = run.fronts["t"].size
+        speed = {"wave_speed": run.chain.wave_speed if run.chain.mass else None}
+        slip = {"gini": run.gini, "correlation_length": run.correlation_length}
+        steps = {"steps": sum(run.steps)}
+        return super().summary() | means | found | speed | slip | steps
 
     def tables(self) -> dict[str, Any]:
         """The trajectory, every block at every record, blocks that broke, events and
@@ -82,17 +80,16 @@ class ChainResult(ProgrammeResult):
             return
         yield "event", "at t", "takes", "blocks", "peak", "drop", "fastest front", ""
         for i in range(min(_MOST_EVENTS, events["t"].size)):
-            here = (fronts["event"] == events["event"][i]) & (
-                fronts["replica"] == events["replica"][i]
-            )
+            here = fronts["event"] == events["event"][i]
+            here &= fronts["replica"] == events["replica"][i]
             front = ("none", "")
             if here.any():
                 fastest = np.flatnonzero(here)[np.argmax(fronts["speed"][here])]
                 speed = float(fronts["speed"][fastest])
                 error = float(fronts["speed_stderr"][fastest])
                 front = f"{speed:.3g} +- {error:.1g}", run.kind_of(speed)
-            kind = f"{events['blocks'][i]}"
-            kind += " (all)" if events["blocks"][i] == run.chain.count else ""
+            blocks = events["blocks"][i]
+            kind = f"{blocks} (all)" if blocks == run.chain.count else f"{blocks}"
             sizes = (f"{events[name][i]:.5g}" for name in ("t", "duration"))
             forces = (f"{events[name][i]:.4g}" for name in ("peak", "drop"))
             yield str(i), *sizes, kind, *forces, *front
@@ -104,11 +101,8 @@ class ChainResult(ProgrammeResult):
         run = self.trajectory
         events = run.events["blocks"]
         whole = int(np.sum(events == run.chain.count))
-        yield (
-            f"{events.size} events, {whole} of all blocks"
-            if events.size
-            else "no event: no block broke while one moved twice as fast as the drive"
-        )
+        none = "no event: no block broke while one moved twice as fast as the drive"
+        yield f"{events.size} events, {whole} of all blocks" if events.size else none
         said = {
             "static friction before events of all blocks": run.static_friction,
             "their recurrence": run.recurrence,
@@ -126,25 +120,17 @@ class ChainResult(ProgrammeResult):
             yield "force_stderr: scatter of contacts at the same X; the scatter of X is known from 8 replicas on"
 
 
-def run_chain(
-    file: RunFile,
-    *,
-    threads: int,
-    max_lives: float,
-    progress: Progress,
-    keep: Path | None,
-) -> ChainResult:
-    """Simulate a run file whose `drive` has a chain; `keep` as in `run`. Raises
-    InputError."""
+def run_chain(file: RunFile, how: How) -> ChainResult:
+    """Simulate a run file whose `drive` has a chain. Raises InputError."""
     ensemble, drive, output = file.ensemble, file.drive, file.output
     assert isinstance(drive, Programme)
-    expected = check_run(ensemble, drive, output, max_lives)
-    progress(0, expected)
+    expected = check_run(ensemble, drive, output, how.max_lives)
+    how.progress(0, expected)
 
     def told(lives: int) -> None:
-        progress(lives, max(lives, expected))
+        how.progress(lives, max(lives, expected))
 
-    guard = guarded(told, expected, max_lives)
-    with kept(file, keep) as states:
-        found = chain_trajectory(ensemble, drive, output, threads, guard, states)
+    guard = guarded(told, expected, how.max_lives)
+    with kept(file, how.keep) as states:
+        found = chain_trajectory(ensemble, drive, output, how.threads, guard, states)
     return ChainResult(file, found)

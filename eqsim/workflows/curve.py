@@ -49,10 +49,9 @@ class CurveResult(FileResult):
         head = tuple(name for name in _SHOWN if name in self.columns)
         yield head
         for row in terminal.some(len(self.columns["X"]), _CURVE_PARTS):
-            yield tuple(
-                f"{self.columns[name][row]:{'.1e' if '_error' in name else '.8g'}}"
-                for name in head
-            )
+            forms = (".1e" if "_error" in name else ".8g" for name in head)
+            cells = zip(head, forms, strict=True)
+            yield tuple(f"{self.columns[name][row]:{form}}" for name, form in cells)
 
     def notes(self) -> Iterator[str]:
         yield "columns ending in _error: bounds of the numerical error"
@@ -68,9 +67,9 @@ def curve(file: RunFile, *, closure: bool = False) -> CurveResult:
     """The exact mean of a run (`master.transient`), or the closure of annealed contacts
     that age (`master.closure`). Raises InputError where there is no such curve."""
     ensemble, points = file.ensemble, file.output.points
-    solved: Any = (
-        solve_closure(ensemble, file.constant_drive, points)
-        if closure
-        else transient(ensemble, file.drive, points)
+    if closure:
+        solved = solve_closure(ensemble, file.constant_drive, points)
+        return CurveResult(file, "closure", solved.columns())
+    return CurveResult(
+        file, "transient", transient(ensemble, file.drive, points).columns()
     )
-    return CurveResult(file, "closure" if closure else "transient", solved.columns())

@@ -3,8 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from eqsim.master.steady import reference
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.elastic import Elastic
 from eqsim.numerics.tables import Array
-from eqsim.workflows.report import Progress, SimulatedFile, Solved
+from eqsim.workflows.report import How, SimulatedFile, Solved
 
 with lazily():
     from eqsim.plots import blocks as draw
@@ -29,7 +28,7 @@ with lazily():
 
 _LARGEST_SIZE = 1000  # size of avalanches up to which the law is drawn
 _AVERAGE_ROWS = {
-    "friction": "friction over X",
+    "friction": "friction {}",
     "size": "breaks per avalanche",
     "single": "fraction of single breaks",
 }
@@ -47,8 +46,7 @@ class ElasticResult(SimulatedFile):
     @property
     def elastic(self) -> Elastic:
         """The blocks."""
-        elastic: Elastic = self.drive.elastic
-        return elastic
+        return cast(Elastic, self.drive.elastic)
 
     @cached_property
     def sizes(self) -> Array:
@@ -66,8 +64,7 @@ class ElasticResult(SimulatedFile):
 
     @cached_property
     def starts(self) -> Array:
-        """How many avalanches over the second half of the plate's way start in each
-        block, (rows, columns)."""
+        """Avalanches in the second half that start in each block, (rows, columns)."""
         run, (columns, rows) = self.trajectory, self.elastic.shape
         late = run.avalanches["D"] > 0.5 * run.D[-1]
         first = run.avalanches["block"][late]
@@ -85,14 +82,12 @@ class ElasticResult(SimulatedFile):
 
     def averages(self) -> dict[str, tuple[Estimate, Estimate]]:
         """Averages over the second half of the plate's way, and their exact values, by
-        name.
+        name; over time, without exact values, with heat and where blocks differ.
 
-        With heat, and where blocks differ, averages are over time and nothing is
-        exact. Friction over displacement (length) is exact for any number of contacts. Breaks
+        Friction over displacement (length) is exact for any number of contacts. Breaks
         per avalanche and the fraction of single breaks are those of infinitely many
-        contacts; their error is the change for a single block with its contacts. They
-        have no value for a discrete law, whose equal thresholds break together from a
-        fresh start on.
+        contacts, with the change for a single block as error; none for a discrete law,
+        whose equal thresholds break together from a fresh start on.
         """
         run, elastic = self.trajectory, self.elastic
         size = single = Estimate(None, None, 0, reliable=False)
@@ -140,16 +135,12 @@ class ElasticResult(SimulatedFile):
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
         yield "", "this run", "expected", "z"
+        over = "over time" if self.in_time else "over X"
         for name, (found, exact) in self.averages().items():
             known: tuple[Any, ...] = "none", "none"
             if exact.value is not None:
                 known = exact, terminal.score(difference(found, exact))
-            row = _AVERAGE_ROWS[name]
-            yield (
-                row.replace("over X", "over time") if self.in_time else row,
-                found,
-                *known,
-            )
+            yield _AVERAGE_ROWS[name].format(over), found, *known
 
     def notes(self) -> Iterator[str]:
         run = self.trajectory
@@ -180,24 +171,15 @@ class ElasticResult(SimulatedFile):
         yield from self.speed()
 
 
-def run_elastic(
-    file: RunFile,
-    drive: Drive | Programme,
-    *,
-    threads: int,
-    max_lives: float,
-    progress: Progress,
-    keep: Path | None,
-) -> ElasticResult:
-    """Simulate a run file whose `drive` has coupled blocks; `keep` as in `run`. Raises
-    InputError."""
-    ensemble, output = file.ensemble, file.output
-    _, expected = check_elastic(ensemble, drive, output, max_lives)
-    progress(0, expected)
-    with kept(file, keep) as states:
-        found = simulate_blocks(
-            *(ensemble, drive, output, threads),
-            lambda lives: progress(lives, max(lives, expected)),
-            states,
-        )
+def run_elastic(file: RunFile, how: How) -> ElasticResult:
+    """Simulate a run file whose `drive` has coupled blocks. Raises InputError."""
+    ensemble, drive, output = file.ensemble, file.drive, file.output
+    _, expected = check_elastic(ensemble, drive, output, how.max_lives)
+    how.progress(0, expected)
+
+    def told(lives: int) -> None:
+        how.progress(lives, max(lives, expected))
+
+    with kept(file, how.keep) as states:
+        found = simulate_blocks(ensemble, drive, output, how.threads, told, states)
     return ElasticResult(file, found)

@@ -22,7 +22,7 @@ from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.tables import Array
-from eqsim.workflows.report import FileResult
+from eqsim.workflows.report import FileResult, Solved, if_any
 
 with lazily():
     from eqsim.plots import checks, panels
@@ -83,17 +83,16 @@ class FluctuationsResult(FileResult):
     def z(self) -> list[float | None]:
         """Difference of the simulated covariance from the exact one in standard errors,
         at each lag; None if there is no sample."""
-        exact = self.exact.covariance.tolist(), self.exact.error.tolist()
         if self.sample is None:
             return [None] * self.exact.lag.size
-        pairs = zip(self.estimates(), *exact, strict=True)
-        return [z_score(*parts) for parts in pairs]
+        exact = self.exact.covariance.tolist(), self.exact.error.tolist()
+        return list(map(z_score, self.estimates(), *exact))
 
     @property
     def correlation_length(self) -> float:
         """Integral of the covariance over the lags, over the variance (length)."""
-        covariance = self.exact.covariance
-        return float(np.trapezoid(covariance, self.exact.lag) / covariance[0])
+        exact = self.exact
+        return float(np.trapezoid(exact.covariance, exact.lag) / exact.covariance[0])
 
     def columns(self) -> dict[str, Array]:
         """The table: `lag`, `covariance`, `error`, and if contacts were simulated
@@ -113,21 +112,19 @@ class FluctuationsResult(FileResult):
     def summary(self) -> dict[str, Any]:
         """The content of `summary.json`."""
         exact, sample = self.exact, self.sample
+        variance, error = float(exact.covariance[0]), float(exact.error[0])
         counts = ("ensembles", "contacts", "lives")
+        names = ("force_std", "correlation_length")
         return {
-            "title": self.file.title,
-            "variance": {
-                "value": float(exact.covariance[0]),
-                "error": float(exact.error[0]),
+            **{
+                "title": self.file.title,
+                "variance": {"value": variance, "error": error},
             },
-            "force_std": self.force_std,
-            "correlation_length": self.correlation_length,
+            **{name: getattr(self, name) for name in names},
             **self.columns(),
-            "z": self.z,
-            "reliable": sample and sample.reliable,
+            **{"z": self.z, "reliable": sample and sample.reliable},
             **{name: getattr(sample, name, 0) for name in counts},
-            "seed": self.file.output.seed,
-            "versions": storage.versions(),
+            **{"seed": self.file.output.seed, "versions": storage.versions()},
         }
 
     def tables(self) -> dict[str, Any]:
@@ -172,26 +169,20 @@ def run_fluctuations(
 ) -> FluctuationsResult:
     """The stationary fluctuations of a run file's force, exact and of simulated
     contacts, of which about `lives` lives are drawn, at `points` lags from 0 to `lag`
-    (length), by default five mean cycles of pinned and detached.
-
-    Raises InputError without a constant velocity, for contacts without such a theory,
-    and for values out of range.
-    """
+    (length), by default `default_lag`. Raises InputError without a constant velocity,
+    for contacts without such a theory, and for values out of range."""
     ensemble, drive = file.ensemble, file.constant_drive
     require_number("--lives", lives, least=0.0, most=1e10)
     if lag is None:
         lag = default_lag(ensemble, drive)
     require_number("--lag", lag, above=0.0)
-    exact = fluctuations(ensemble, replace(drive, distance=lag), points)
-    sample, reason = None, "" if lives else "--lives = 0"
+    far, seed = replace(drive, distance=lag), file.output.seed
+    exact = fluctuations(ensemble, far, points)
+    found: Solved[SampledCovariance] = Solved(None, "--lives = 0")
     if lives:
-        try:
-            far = replace(drive, distance=lag)
-            sample = sampled(ensemble, far, points, lives, file.output.seed, threads)
-        except InputError as error:
-            reason = str(error)
+        found = if_any(lambda: sampled(ensemble, far, points, lives, seed, threads))
     asked = {"lag": lag, "points": points, "lives": lives}
-    return FluctuationsResult(file, exact, sample, reason, asked)
+    return FluctuationsResult(file, exact, *found, asked)
 
 
 def default_lag(ensemble: Ensemble, drive: Drive) -> float:
@@ -232,10 +223,8 @@ def sampled(
     unmet = _unmet(ensemble, drive.velocity, exact, _TOGETHER * ensembles, run.lives)
     even = scatter.max() < _DOMINANT_SHARE * scatter.sum()
     reliable = bool(even and unmet < _DOMINANT_SHARE * known(exact.force_variance))
-    counts = _TOGETHER, ensembles, run.lives
-    return SampledCovariance(
-        covariances.mean(axis=1), np.hypot(stderr, unmet), reliable, *counts
-    )
+    mean, error = covariances.mean(axis=1), np.hypot(stderr, unmet)
+    return SampledCovariance(mean, error, reliable, _TOGETHER, ensembles, run.lives)
 
 
 def _unmet(

@@ -112,22 +112,16 @@ def replay(
     except InputError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(
-            f"{path}: its provenance is damaged ({type(error).__name__}: {error})"
-        ) from None
-    here = storage.versions()
-    changed = {
-        name: (then, here.get(name, "none"))
-        for name, then in origin["versions"].items()
-        if then != here.get(name, "none")
-    }
-    differences = compare(table, again)
-    return Replay(origin["command"], len(table), differences, changed)
+        what = f"{type(error).__name__}: {error}"
+        raise InputError(f"{path}: its provenance is damaged ({what})") from None
+    here, then = storage.versions(), origin["versions"]
+    pairs = {name: (old, here.get(name, "none")) for name, old in then.items()}
+    changed = {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+    return Replay(origin["command"], len(table), compare(table, again), changed)
 
 
 def _replayed_table(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, Origin]:
     """The table of a file, and its provenance."""
-
     if path.exists() and not path.is_file():  # a pipe or a device may never end
         raise InputError(f"{path}: is not a file")
     try:
@@ -156,8 +150,7 @@ def _replayed_table(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, Or
 
 
 def compare(table: Table, again: Table) -> dict[str, tuple[int, float | None]]:
-    """Columns of two tables that differ, as in `Replay`. A column or row that only one
-    of them has differs."""
+    """Columns that differ, as in `Replay`; also those in one table alone."""
     differences: dict[str, tuple[int, float | None]] = {}
     for name in [*table, *(name for name in again if name not in table)]:
         if name in _TIMES:
@@ -210,15 +203,12 @@ def _validate(origin: Origin, _: Table, workers: int, progress: Progress) -> Tab
 def _sweep(origin: Origin, table: Table, workers: int, progress: Progress) -> Table:
     """Repeat a sweep with the stored identities of its points: seeds are made of them,
     and they change with the version of results."""
-
     settings = origin["settings"]
     plan = Plan(stored(settings["sweep"], origin["folder"]), table["id"].tolist())
     if len(table) != plan.size:
-        of = f"{len(table)} of the {plan.size} points"
-        raise InputError(
-            f"the table holds {of} of a sweep that was not finished; "
-            "only the table of a finished one, sweep.parquet, can be replayed"
-        )
+        of = f"{len(table)} of the {plan.size} points of a sweep that was not finished"
+        only = "only the table of a finished one, sweep.parquet, can be replayed"
+        raise InputError(f"the table holds {of}; {only}")
     names = [field.name for field in dataclasses.fields(Asked)]
     asked = Asked(**{name: settings[name] for name in names if name in settings})
     with tempfile.TemporaryDirectory() as folder:
@@ -230,11 +220,5 @@ def _sweep(origin: Origin, table: Table, workers: int, progress: Progress) -> Ta
     return again.rename(columns={other: name for name, other in old.items()})
 
 
-_REPEAT: dict[str, Repeat] = {
-    "run": _run,
-    "fluctuations": _fluctuations,
-    "reference": _reference,
-    "stability": _stability,
-    "validate": _validate,
-    "sweep": _sweep,
-}
+_REPEATING = (_run, _fluctuations, _reference, _stability, _validate, _sweep)
+_REPEAT: dict[str, Repeat] = {one.__name__.lstrip("_"): one for one in _REPEATING}

@@ -3,10 +3,11 @@ table, JSON, files and pictures."""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from pathlib import Path
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, cast
 
 from eqsim.errors import InputError
-from eqsim.io import storage, terminal
+from eqsim.io import labels, storage, terminal
 from eqsim.io.runfile import RunFile
 from eqsim.lazy import lazily
 from eqsim.master.programme import heat_is_idle
@@ -20,6 +21,15 @@ with lazily():
 
 Progress = Callable[[int, float], None]
 Exact = TypeVar("Exact")
+
+
+class How(NamedTuple):
+    """How blocks are simulated; `keep`: the folder for states of a stopped run."""
+
+    threads: int
+    max_lives: float
+    progress: Progress
+    keep: Path | None
 
 
 class Solved(NamedTuple, Generic[Exact]):
@@ -77,8 +87,7 @@ class FileResult:
         yield from ()
 
     def report(self, name: str, *more: str) -> terminal.Report:
-        """Table and notes for a terminal, titled `name` unless the run file has a title,
-        with `more` notes."""
+        """Table and notes, also `more`, titled `name` unless the run file has a title."""
         head, *rows = self.rows()
         notes = [*self.notes(), *more]
         return terminal.Report(self.summary(), self.title(name), head, rows, notes)
@@ -93,16 +102,13 @@ class FileResult:
 
     def origin(self) -> dict[str, Any]:
         """Provenance of tables."""
-        file = self.file
-        return storage.provenance(
-            self.command, self.settings, file.text, file.output.seed, file.folder
-        )
+        made = self.file.text, self.file.output.seed, self.file.folder
+        return storage.provenance(self.command, self.settings, *made)
 
     def files(
         self, title: str = "", formats: Sequence[str] = ("png",)
     ) -> dict[str, bytes]:
-        """The files of a results folder by name; pictures have `title` unless the run
-        file has one."""
+        """The files of a results folder by name; `title` as in `figures`."""
         origin, tables = self.origin(), self.tables().items()
         files = {f"{name}.parquet": storage.parquet(x, origin) for name, x in tables}
         if self.summarised:
@@ -127,8 +133,7 @@ class SimulatedFile(FileResult, Listed):
 
     def in_units(self, units: Any = None, interface: Any = None) -> dict[str, Physical]:
         """The force of the trajectory as `Result.in_units` gives it."""
-        physical: dict[str, Physical] = self.trajectory.in_units(units, interface)
-        return physical
+        return cast(dict[str, Physical], self.trajectory.in_units(units, interface))
 
     @property
     def phase(self) -> str:
@@ -142,22 +147,16 @@ class SimulatedFile(FileResult, Listed):
         points = self.file.output.points
         return if_any(lambda: transient(self.ensemble, self.drive, points))
 
-    @property
-    def folder(self) -> Any:
-        """The folder in which paths in the run file start."""
-        return self.file.folder
-
     def to_pandas(self) -> Any:
         """A DataFrame of the trajectory."""
         return self.trajectory.to_pandas()
 
     def plot(self, axes: Any = None, **style: Any) -> Any:
-        """Draw the trajectory, and on it the exact mean; arguments are those of
-        `Result.plot`."""
+        """Draw the trajectory and the exact mean; arguments as of `Result.plot`."""
         x, given, exact = self.trajectory.drawn.x, axes, self.exact.solution
         axes = self.trajectory.plot(axes, **{"label": "simulated contacts", **style})
         if given is None:
-            axes.set(**self.file.labels(x))
+            axes.set(**labels.of_trajectory(x, self.file.units))
         if exact is not None:
             line = {"linewidth": 1, "label": "exact mean"}
             axes.plot(getattr(exact, x), exact.force, "k:", **line)
@@ -185,12 +184,11 @@ class SimulatedFile(FileResult, Listed):
     def caption(self, title: str, level: float | None) -> Any:
         """The caption of a picture of forces of about a `level`."""
         caption = panels.Caption.of(self.file, title, level)
-        detail = f"{caption.detail}; no exact curve" if not self.compares else ""
-        return caption._replace(detail=detail or caption.detail)
+        without = "" if self.compares else "; no exact curve"
+        return caption._replace(detail=caption.detail + without)
 
     def speed(self) -> Iterator[str]:
-        """Notes on how many lives were simulated, how fast, and by whom; and why there
-        is no exact mean."""
+        """Notes on lives, speed, who simulated, and why there is no exact mean."""
         run, count = self.trajectory, self.ensemble.count * self.file.output.replicas
         contacts = f" of {terminal.count(count)} contacts"
         speed = terminal.lives(run.lives, run.engine_seconds, contacts)
@@ -205,8 +203,7 @@ class SimulatedFile(FileResult, Listed):
         return f"{type(self).__name__}({self.trajectory!r})"
 
     def _repr_html_(self) -> str:
-        shown: str = self.trajectory._repr_html_()
-        return shown
+        return str(self.trajectory._repr_html_())
 
 
 def if_any(solve: Callable[[], Exact]) -> Solved[Exact]:

@@ -40,7 +40,7 @@ from eqsim.sweeps.workers import Workers
 from eqsim.workflows.averages import unit_column
 from eqsim.workflows.elastic import ElasticResult, run_elastic
 from eqsim.workflows.peak import static_peak
-from eqsim.workflows.report import Progress, SimulatedFile, Solved, if_any
+from eqsim.workflows.report import How, Progress, SimulatedFile, Solved, if_any
 
 with lazily():
     from eqsim.plots import runs
@@ -136,8 +136,7 @@ class RunResult(SimulatedFile):
         return {"force": draw(self.trajectory, self.steady, exact, caption)}
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
-        """Averages, if there is a steady state, and the peak beside their expected
-        values."""
+        """Averages, if any is steady, and the peak beside their expected values."""
         averages = self.trajectory.averages
         rows = self.file.rows(averages)
         yield "", "this run", "expected", *unit_column(rows), "z"
@@ -161,12 +160,9 @@ class RunResult(SimulatedFile):
             yield self.ensemble.divergence
         if self._ends:
             yield "contacts never form again: no steady averages; peak: the first maximum of the force"
-            yield from _doubt(self.trajectory)
-            yield from self.speed()
-            return
-        if not all(one.reliable or one.diverges for one in averages):
+        elif not all(one.reliable or one.diverges for one in averages):
             yield "unreliable: the steady state was not reached before the second half, or too few contacts broke in it"
-        if self.peak:
+        if self.peak and not self._ends:
             yield "averages: over the second half of the run; peak: the first maximum of the force after the start"
         yield from _doubt(self.trajectory)
         yield from self.speed()
@@ -175,8 +171,7 @@ class RunResult(SimulatedFile):
 def _beside_expected(
     row: Row, found: Estimate, exact: Estimate | None, scored: bool
 ) -> tuple[Any, ...]:
-    """A row of a table: an estimate, its expected value, and if `scored` z, their
-    difference in standard errors."""
+    """A row of an estimate, its expected value, and if `scored` z, their difference."""
     z = "none"
     if exact is not None and scored and found.value is not None:
         z = terminal.score(difference(found, exact))
@@ -232,14 +227,9 @@ class ProgrammeResult(SimulatedFile):
             quantity.name: {"factor": quantity.factor, "unit": quantity.unit}
             for quantity in self.file.quantities
         }
-        return {
-            "title": self.file.title,
-            "segments": segments,
-            **healing,
-            **({"physical": physical} if physical else {}),
-            "force_reliable": run.force_reliable,
-            **self.made(),
-        }
+        known: dict[str, Any] = healing | ({"physical": physical} if physical else {})
+        known["force_reliable"] = run.force_reliable
+        return {"title": self.file.title, "segments": segments, **known, **self.made()}
 
     @property
     def _holds(self) -> tuple[Array, Array, Array]:
@@ -265,12 +255,9 @@ class ProgrammeResult(SimulatedFile):
         figures = {"force": self._force_figure(caption)}
         if self.healing:
             pairs = zip(self.trajectory.segments, self.exact_segments, strict=False)
-            exact = [
-                known(theirs.healing)
-                for ours, theirs in pairs
-                if ours.healing and ours.healing.reliable and theirs.healing
-            ]
-            drawn = self._holds, np.array(exact), self.healing, caption
+            healed = [b for a, b in pairs if a.healing and a.healing.reliable]
+            exact = np.array([known(one.healing) for one in healed if one.healing])
+            drawn = self._holds, exact, self.healing, caption
             figures["healing"] = runs.healing_figure(*drawn)
         return figures
 
@@ -345,10 +332,8 @@ class SliderResult(ProgrammeResult):
         """The mean field."""
         count, spring = self.ensemble.count, self.drive.stage and not self.drive.motor
         if self.compares and count < _FEW and not spring:
-            said = (
-                f"a mean field is of many contacts, at least {_FEW}; these are {count}"
-            )
-            return Solved(None, said)
+            said = f"a mean field is of many contacts, at least {_FEW}"
+            return Solved(None, f"{said}; these are {count}")
         return super().exact
 
     @property
@@ -407,9 +392,9 @@ class SliderResult(ProgrammeResult):
                 return bursts(contacts, range(1, most + 1)).number
             if contacts.populations:
                 raise InputError("population: has no law of sizes")
-            spring = contacts.thresholds, stage.stiffness, contacts.stiffness_law
-            load = load_of(*spring)
-            return size_law(contacts.thresholds, load, most, contacts.stiffness_law)
+            law, springs = contacts.thresholds, contacts.stiffness_law
+            load = load_of(law, stage.stiffness, springs)
+            return size_law(law, load, most, springs)
 
         known = if_any(law).solution
         return breaks, per, np.empty(0) if known is None else known
@@ -459,9 +444,8 @@ class SliderResult(ProgrammeResult):
         for verb, whole in (("begins", "begun"), ("ends", "ended")):
             cut = [str(i) for i, slip in enumerate(slips) if not getattr(slip, whole)]
             if cut:
-                named = ", ".join(cut[:_MOST_NAMED]) + ", ..." * (
-                    len(cut) > _MOST_NAMED
-                )
+                more = ["..."] * (len(cut) > _MOST_NAMED)
+                named = ", ".join(cut[:_MOST_NAMED] + more)
                 yield _CUT.format(verb, f"slip{'s' * (len(cut) > 1)} {named}")
         if not self.trajectory.force_reliable:
             yield "force_stderr: scatter of contacts at the same X; the scatter of X is known from 8 replicas on"
@@ -527,24 +511,21 @@ def run(
     chain = isinstance(drive, Programme) and drive.chain
     if drive.elastic or chain:
         if workers:
-            raise InputError(
-                "--workers, --dask: coupled blocks are simulated in one process; threads share replicas"
-            )
-        how: dict[str, Any] = {"threads": threads, "max_lives": max_lives}
-        how |= {"progress": progress, "keep": keep}
+            said = "coupled blocks are simulated in one process; threads share replicas"
+            raise InputError(f"--workers, --dask: {said}")
+        how = How(threads, max_lives, progress, keep)
         if chain:
             from eqsim.workflows.chain import run_chain
 
-            return run_chain(file, **how)
-        return run_elastic(file, drive, **how)
+            return run_chain(file, how)
+        return run_elastic(file, how)
     draws: dict[str, Any] = {"seed": output.seed, "replicas": output.replicas}
     rough = 5e-3 if ensemble.fluctuates else 1e-3  # lives with paths cost more
     with ExitStack() as stack:
         expected = check_run(ensemble, drive, output, max_lives)
         if output.series and workers:
-            raise InputError(
-                "output.series: is kept by threads only, not with --workers or --dask"
-            )
+            said = "is kept by threads only, not with --workers or --dask"
+            raise InputError(f"output.series: {said}")
         if output.breaks and isinstance(drive, Drive):
             check_breaks(ensemble, drive, output)
         pool = stack.enter_context(workers.fixed_pool()) if workers else None
@@ -562,9 +543,9 @@ def run(
     who = "workers" if workers else "threads"
     if isinstance(drive, Drive):
         assert level
-        listed = (
-            breaks(ensemble, drive, **draws, threads=threads) if output.breaks else None
-        )
+        listed = None
+        if output.breaks:
+            listed = breaks(ensemble, drive, **draws, threads=threads)
         return RunResult(file, level, simulated, listed, who, exact)
     kind = SliderResult if drive.pulled else ProgrammeResult
     return kind(file, simulated, who, exact)

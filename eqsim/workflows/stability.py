@@ -51,12 +51,9 @@ class StabilityResult(FileResult):
     def summary(self) -> dict[str, Any]:
         found = self.stability
         names = ("fresh_slips", "fresh_verdict", "verdict")
-        return {
-            **asdict(found),
-            **{name: getattr(found, name) for name in names},
-            "sentence": self.sentence,
-            "versions": storage.versions(),
-        }
+        more = {name: getattr(found, name) for name in names}
+        more |= {"sentence": self.sentence, "versions": storage.versions()}
+        return asdict(found) | more
 
     def tables(self) -> dict[str, Any]:
         return {"border": self.borders}
@@ -72,16 +69,12 @@ class StabilityResult(FileResult):
 
     def rows(self) -> Iterator[tuple[str, ...]]:
         """The run's stiffness, its first slip, and steady sliding."""
-        found, fresh, unit = (
-            self.stability,
-            self.stability.fresh,
-            machine_stiffness(self.file, 1),
-        )
-        machine = ("K",) * bool(unit)
-        yield "", "value", *machine, "meaning"
+        found, fresh = self.stability, self.stability.fresh
+        unit = bool(machine_stiffness(self.file, 1))
+        yield "", "value", *("K",) * unit, "meaning"
 
         def of(kappa: float | None) -> tuple[str, ...]:
-            return (machine_stiffness(self.file, kappa) if kappa else "",) * bool(unit)
+            return (machine_stiffness(self.file, kappa) if kappa else "",) * unit
 
         said = "kappa_s = K/(N k) of this run"
         yield "stiffness", f"{found.stiffness:.6g}", *of(found.stiffness), said
@@ -164,17 +157,12 @@ class ModesResult(FileResult):
         return f"perturbations longer than {2.0 * math.pi / q:.4g} blocks grow; {mine}"
 
     def summary(self) -> dict[str, Any]:
-        modes = self.modes
-        return {
-            "title": self.file.title,
-            "critical_wave_number": modes.critical_wave_number.as_dict(),
-            "softest": modes.softest.as_dict(),
-            "lowest_wave_number": modes.lowest,
-            "verdict": modes.verdict,
-            "modes": {name: x.tolist() for name, x in modes.columns().items()},
-            "sentence": self.sentence,
-            "versions": storage.versions(),
-        }
+        modes, names = self.modes, ("critical_wave_number", "softest")
+        found = {name: getattr(modes, name).as_dict() for name in names}
+        found |= {"lowest_wave_number": modes.lowest, "verdict": modes.verdict}
+        found["modes"] = {name: x.tolist() for name, x in modes.columns().items()}
+        made = {"sentence": self.sentence, "versions": storage.versions()}
+        return {"title": self.file.title, **found, **made}
 
     def tables(self) -> dict[str, Any]:
         return {"modes": self.modes.columns()}
@@ -187,26 +175,16 @@ class ModesResult(FileResult):
         chain, modes = self.drive.chain, self.modes
         yield "", "value", "meaning"
         yield "coupling", f"{chain.coupling:.6g}", "K/(n k)"
-        yield (
-            "drive",
-            f"{chain.drive_stiffness:.6g}",
-            f"spring of the {chain.drive} over n k",
-        )
-        critical = modes.critical_wave_number
-        if critical.value:
-            yield (
-                "critical q_c",
-                _with_error(critical),
-                "wave number below which perturbations grow, per block",
-            )
+        spring = f"spring of the {chain.drive} over n k"
+        yield "drive", f"{chain.drive_stiffness:.6g}", spring
+        critical, growth = map(_with_error, (modes.critical_wave_number, modes.softest))
+        if modes.critical_wave_number.value:
+            below = "wave number below which perturbations grow, per block"
+            yield "critical q_c", critical, below
         yield "softest q", f"{modes.lowest:.6g}", "longest wave of this chain"
         yield "steady sliding", modes.verdict, "of this chain"
         if modes.softest.value is not None:
-            yield (
-                "growth rate",
-                _with_error(modes.softest),
-                "of its softest mode, 1/time",
-            )
+            yield "growth rate", growth, "of its softest mode, 1/time"
 
     def notes(self) -> Iterator[str]:
         yield self.sentence

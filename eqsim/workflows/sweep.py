@@ -95,24 +95,19 @@ def sweep(
         table = rows.to_pandas(use_threads=False)
     for failure in found.failures[:1]:
         first = f"the first at {failure['changes']}: {failure['message']}"
-        warnings.warn(
-            f"{found.failed} of {found.points} points failed, {first}", stacklevel=3
-        )
+        said = f"{found.failed} of {found.points} points failed, {first}"
+        warnings.warn(said, stacklevel=3)
     return table
 
 
 def _with_grid(file: RunFile, grid: dict[str, Any]) -> RunFile:
     """The run file with other axes. Raises InputError."""
     if not isinstance(grid, dict):
-        raise InputError(
-            f"grid = {shown(grid)}: must be values by key, such as "
-            '{"drive.velocity": [0.1, 1.0]}'
-        )
-
-    several = (np.ndarray, tuple, range)
+        said = 'must be values by key, such as {"drive.velocity": [0.1, 1.0]}'
+        raise InputError(f"grid = {shown(grid)}: {said}")
     axes = {
-        key: np.asarray(values).tolist() if isinstance(values, several) else values
-        for key, values in grid.items()
+        key: np.asarray(x).tolist() if isinstance(x, (np.ndarray, tuple, range)) else x
+        for key, x in grid.items()
     }
     content = {**copied(file.given, without=("fit",)), "sweep": axes}
     return replace(check(content, file.folder), text=file.text)

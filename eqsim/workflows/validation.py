@@ -1,5 +1,6 @@
 """Results of `eqsim validate`."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -8,7 +9,7 @@ from eqsim import validation
 from eqsim.io import storage
 from eqsim.lazy import lazily
 from eqsim.validation import Validation
-from eqsim.workflows.report import FileResult, Progress
+from eqsim.workflows.report import FileResult
 
 with lazily():
     from eqsim.plots import checks
@@ -31,18 +32,15 @@ class ValidationResult(FileResult):
 
     def summary(self) -> dict[str, Any]:
         found = self.found
-        refused = {
-            (validation.law_text(one.ensemble.thresholds), one.message)
-            for one in found.unscored
-            if one.message
-        }
+        messages = [one for one in found.unscored if one.message]
+        laws = (validation.law_text(one.ensemble.thresholds) for one in messages)
+        refused = zip(laws, (one.message for one in messages), strict=True)
         return {
             **{"suite": found.suite, "seed": found.seed, "passed": found.passed},
             "verdicts": [asdict(verdict) for verdict in found.verdicts],
             "declined": found.declined,
             "left_out": validation.left_out(found.unscored),
-            "refused": sorted(refused),
-            "versions": storage.versions(),
+            **{"refused": sorted(set(refused)), "versions": storage.versions()},
         }
 
     def tables(self) -> dict[str, Any]:
@@ -63,17 +61,6 @@ class ValidationResult(FileResult):
             )
 
     def notes(self) -> Iterator[str]:
-        absent = validation.left_out(self.found.unscored).values()
-        counts = (
-            f"{sum(of.get(reason, 0) for of in absent)} {reason}"
-            for reason in validation.REASONS
-        )
+        reasons = Counter(one.reason for one in self.found.unscored)
+        counts = (f"{reasons[reason]} {reason}" for reason in validation.REASONS)
         yield "left out: " + ", ".join(counts)
-
-
-def validated(
-    suite: str, seed: int, threads: int, progress: Progress
-) -> ValidationResult:
-    """Run a suite. Raises InputError."""
-    how: dict[str, Any] = {"threads": threads, "progress": progress}
-    return ValidationResult(validation.validate(suite, seed=seed, **how))
