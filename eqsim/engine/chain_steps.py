@@ -68,6 +68,7 @@ class Blocks(NamedTuple):
     V: Array
     behind: Array  # displacement that estimates have missed so far (`slider.Behind`)
     behind_V: Array  # the same of the velocity
+    over: Array  # time within which what was missed is given back
     acceleration: Array  # in the last step
     direction: Array  # that of the means rho and r (`slider.BreakRates`), as these four
     moved: Array
@@ -102,7 +103,6 @@ COURSE = np.dtype(
         ("time", float),
         ("Y", float),
         ("dt", float),  # of the next step
-        ("over", float),  # time within which what was missed is given back
         ("work", float),
         ("damped", float),
         ("lost", float),
@@ -292,13 +292,13 @@ def _estimate(c: Chained, dt: float, speed: float) -> tuple[float, float]:
     element beside the diagonal."""
     links, b, s = c.links, c.blocks, c.course[0]
     mass, size = links.mass, b.X.size
-    share = min(1.0, dt / s.over) if s.over > 0.0 else 0.0
     off = 0.0
     if mass > 0.0 or not links.free:
         off = _factor(links, c, dt)
         if off > 0.0:
             return math.inf, off
     for j in range(size):
+        share = min(1.0, dt / b.over[j]) if b.over[j] > 0.0 else 0.0
         b.made_up[j] = share * b.behind[j]
         b.made_up_V[j] = share * b.behind_V[j]
     for j in range(size):
@@ -374,8 +374,10 @@ def _follow(c: Chained, dt: float, first: int, last: int) -> None:
 def _fall_behind(c: Chained, dt: float, off: float) -> None:
     """Find what is left to make up for after a step, whose estimate `missed` forces at
     its end. In a free chain it did so before in proportion to time, as for a slider; in
-    a coupled one the times of breaks tell the impulse that it has missed."""
-    links, b, s = c.links, c.blocks, c.course[0]
+    a coupled one the times of breaks tell the impulse that it has missed. What a step
+    has missed is given back within as long a time. A front after long steps misses far
+    more than these have left, so that in a coupled chain a mean counts."""
+    links, b = c.links, c.blocks
     lag = b.lag
     for j in range(lag.size):
         missed = b.missed[j]
@@ -393,13 +395,17 @@ def _fall_behind(c: Chained, dt: float, off: float) -> None:
         velocity = 0.0
         if links.mass > 0.0:
             velocity = lag[j] / (b.theta[j] * dt)
+        left = max(dt, b.over[j] - dt)
+        if not links.free and lag[j] != 0.0 and math.isfinite(lag[j]):
+            old = abs(b.behind[j] - b.made_up[j])
+            left = dt + (left - dt) * old / (old + abs(lag[j]))
+        b.over[j] = left
         if math.isfinite(lag[j]):
             b.behind[j] = b.behind[j] - b.made_up[j] + lag[j]
             b.behind_V[j] = b.behind_V[j] - b.made_up_V[j] + velocity
         else:
             b.behind[j] = 0.0
             b.behind_V[j] = 0.0
-    s.over = max(dt, s.over - dt)
 
 
 @routine(inline=True)
