@@ -20,7 +20,7 @@ with lazily():
     from eqsim.workflows import validation
 
 _File = Argument(metavar="FILE", help="Parquet file that eqsim wrote.")
-_SUITE = '"quick" (1 to 3 minutes) or "full" (10 to 20 minutes).'
+_SUITE = '"quick" (1 to 3 minutes), "full" (10 to 20 minutes), or "interface" (chains of blocks, half a minute).'
 _SCORES = "Folder for the table of scores and the picture."
 _SUITE_SEED = "Random seed of parameter points and lives."
 _PARQUET = "Parquet file, or the folder of a run, sweep or fit."
@@ -40,7 +40,8 @@ def validate(
 
     Points differ in thresholds, heat, delay, aging and velocity. Compared are steady
     averages, transients, programmes (steps, holds, crawls, jitter, reversals), hazards,
-    fluctuations, and sliders behind a spring.
+    fluctuations, and sliders behind a spring. "interface" compares the creep of chains
+    of blocks, and fronts, with exact ones.
     """
     require_integer("--seed", seed, 0, 2**63 - 1)
     count = cores(threads)

@@ -11,6 +11,7 @@ from scipy import stats
 from eqsim.errors import InputError
 from eqsim.estimate import Estimate, known, z_score
 from eqsim.laws.aging import RULES, Aging
+from eqsim.model.chain import Chain
 from eqsim.model.drive import Drive, Stage, Start
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.streams import seed_named
@@ -39,7 +40,8 @@ class Score:
 
     For a hazard law the numbers are the distance of Kolmogorov and Smirnov, 0, and
     n^(-1/2) of n lives. For a slider that a stage pulls there are the `stage`, the
-    `count` of its contacts, and the `time` of the hold or pull."""
+    `count` of its contacts, and the `time` of the hold or pull; for blocks that move in
+    time there is the `chain`."""
 
     kind: str
     ensemble: Ensemble
@@ -52,6 +54,7 @@ class Score:
     stage: Stage | None = None
     count: int = 0
     time: float = math.nan
+    chain: Chain | None = None
 
 
 class Unscored(NamedTuple):
@@ -71,7 +74,8 @@ Found = list[Score | Unscored]
 class Point(NamedTuple):
     """A point of the parameter space: its number, the ensemble of the reference, the one
     `shown` to the engine, its seed and that of the suite, and the threads that simulate
-    it; of a slider that a stage pulls also the last three fields of `Score`."""
+    it; of a slider that a stage pulls, or of a chain, also the last fields of
+    `Score`."""
 
     number: int
     ensemble: Ensemble
@@ -83,6 +87,7 @@ class Point(NamedTuple):
     stage: Stage | None = None
     contacts: int = 0
     time: float = math.nan
+    chain: Chain | None = None
 
     def stream(self, *numbers: int) -> int:
         """A seed for this point and these numbers."""
@@ -114,7 +119,8 @@ class Point(NamedTuple):
             return Unscored(kind, *where, "vague")
         score = math.inf if z is None else z
         numbers = known(ours), value, sigma, score
-        return Score(kind, *where, *numbers, even, self.stage, self.contacts, self.time)
+        pulled = self.stage, self.contacts, self.time, self.chain
+        return Score(kind, *where, *numbers, even, *pulled)
 
     def uniform(self, share: Array) -> Score:
         """Test whether shares are uniform in (0, 1)."""
@@ -185,4 +191,5 @@ def _table_row(score: Score) -> dict[str, Any]:
     row |= {f"newborn_{name}": value for name, value in vars(newborn).items()}
     for name in ("stiffness", "damping", "preload"):
         row[f"stage_{name}"] = getattr(score.stage, name, None)
+    row["chain"] = repr(score.chain) if score.chain else ""
     return {name: math.nan if x is None else x for name, x in row.items()}

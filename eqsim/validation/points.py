@@ -55,7 +55,8 @@ class Suite(NamedTuple):
     """Size of a suite: `points` parameter points, `wide` of which are also tested for
     fluctuations, with `sizes` (contacts, ensembles) in turn; at least so many `contacts`
     in a transient unless they take more than `lives` lives; and `replicas` of sliders on
-    a few contacts behind a spring, whose steps in holds have a `tolerance`."""
+    a few contacts behind a spring, whose steps in holds have a `tolerance`. Or it is of
+    `chains` of blocks alone."""
 
     points: int
     wide: int
@@ -64,11 +65,13 @@ class Suite(NamedTuple):
     lives: float = 1e6
     replicas: int = 24
     tolerance: float = 1e-4
+    chains: int = 0
 
 
 SUITES = {
     "quick": Suite(32, 6, replicas=12, tolerance=1e-3),
     "full": Suite(240, 18, replicas=60),
+    "interface": Suite(0, 0, chains=16),
     "verification": Suite(
         1008, 91, ((20, 10_000), (100, 10_000), (1000, 10_000)), 10_000, 1e8, 200
     ),

@@ -28,7 +28,7 @@ from scipy import stats
 from eqsim.errors import require_choice
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.streams import seed_named
-from eqsim.validation import pulled, scores
+from eqsim.validation import chains, pulled, scores
 from eqsim.validation.comparison import (
     DECLINED,
     Found,
@@ -73,7 +73,7 @@ class Validation:
         Arguments of `validate`.
     scores : list of Score
     verdicts : list of Verdict
-        One for each of `KINDS`.
+        One for each of `KINDS`, or of `chains.CHAIN_KINDS`.
     unscored : list of Unscored
         Comparisons left out, with reasons.
     """
@@ -174,7 +174,8 @@ def validate(
     Parameters
     ----------
     suite : str
-        "quick" (32 points), "full" (240) or "verification" (1008).
+        "quick" (32 points), "full" (240) or "verification" (1008); or "interface", 16
+        chains of blocks against their linear creep and exact speeds of fronts.
     seed : int
         Seed of the points and of the lives.
     threads : int
@@ -204,11 +205,12 @@ def validate(
     True
     >>> validate("long")
     Traceback (most recent call last):
-    eqsim.errors.InputError: suite = 'long': must be one of "quick", "full", "verification"
+    eqsim.errors.InputError: suite = 'long': must be one of "quick", "full", "interface", "verification"
     """
     require_choice("suite", suite, (*SUITES,))
     plan, (first, step), every = SUITES[suite], part, Found()
-    total = len(range(first, plan.points, step))
+    linked = range(first, plan.chains, step)
+    total = len(range(first, plan.points, step)) + len(linked)
     for done, (index, ensemble, v) in enumerate(sample(plan.points, seed, part), 1):
         shown = wrong(ensemble) if wrong else ensemble
         drawn = seed_named(seed, index)
@@ -216,7 +218,16 @@ def validate(
         every += scores.compare_driven(point, plan) + pulled.compare_pulled(point, plan)
         if progress:
             progress(done, total)
+    for done, index in enumerate(linked, 1):
+        ensemble = chains.contacts_of(index)
+        shown = wrong(ensemble) if wrong else ensemble
+        drawn = seed_named(seed, index)
+        point = Point(index, ensemble, shown, math.nan, drawn, seed, threads)
+        every += chains.compare_chain(point, plan)
+        if progress:
+            progress(done, total)
     made = [one for one in every if isinstance(one, Score)]
     unscored = [one for one in every if isinstance(one, Unscored)]
-    verdicts = [judge(kind, made) for kind in KINDS]
+    kinds = chains.CHAIN_KINDS if plan.chains else KINDS
+    verdicts = [judge(kind, made) for kind in kinds]
     return Validation(suite, seed, made, verdicts, unscored)
