@@ -180,8 +180,12 @@ SHORT_HOLD = Programme(
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [
-        ("annealed soft uniform, fixed delay", SHORT_HOLD),
-        pytest.param("soft uniform", SHORT_HOLD, marks=pytest.mark.verification),
+        ("soft uniform", SHORT_HOLD),
+        pytest.param(
+            "annealed soft uniform, fixed delay",
+            SHORT_HOLD,
+            marks=pytest.mark.verification,
+        ),
         pytest.param(
             "soft uniform",
             Programme(
