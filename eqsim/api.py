@@ -89,7 +89,8 @@ from eqsim.workflows.run import RunResult as RunResult
 
 # these take a run file, too, in the place of contacts and a drive
 breaks = _calls.accepts_run_file(_breaks.breaks)
-bursts = _calls.accepts_run_file(_bursts.bursts, _calls.many_sizes, output=())
+_SIZES = range(1, 1001)  # of bursts
+bursts = _calls.accepts_run_file(_bursts.bursts, lambda file: _SIZES, output=())
 chain_modes = _calls.accepts_run_file(_chain_modes.chain_modes)
 closure = _calls.accepts_run_file(_closure.closure)
 curve: _calls.CurveCall = _cast(

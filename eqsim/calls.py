@@ -198,8 +198,3 @@ def over_cycles(file: RunFile) -> Drive:
     """The drive over the lags that the command line shows. Raises InputError."""
     drive = file.constant_drive
     return replace(drive, distance=default_lag(file.ensemble, drive))
-
-
-def many_sizes(file: RunFile) -> range:
-    """Sizes of bursts for any run file."""
-    return range(1, 1001)

@@ -49,8 +49,8 @@ AREA = dimension("length^2")
 
 
 class Entry(NamedTuple):
-    """A key or a column; what it does not have is "". `default` and `values` are those of
-    the documentation, where the program's own default and type say too little."""
+    """A key or a column; what it does not have is "". `default` and `values` are those
+    of the documentation, where the program's own default and type say too little."""
 
     words: str = ""  # what pictures call it
     symbol: str = ""  # in mathtext
@@ -95,9 +95,8 @@ COLUMNS = {name: _entry(known) for name, known in _FILE["columns"].items()}
 
 
 def entry(name: str) -> Entry | None:
-    """The entry of a key or a column, None without one; the words of those of a
-    segment, `drive.programme.1.hold` and `segment_1_peak`, or a population say which.
-    """
+    """The entry of a key or a column, if it has one; words of those of a segment, as
+    drive.programme.1.hold and segment_1_peak, or a population say which."""
     physical = "(?:_(friction_force|friction_coefficient|shear_stress))?"
     if found := re.fullmatch(rf"segment_(\d+)_(\w+?){physical}", name):
         known = COLUMNS.get(f"segment.{found[2]}")

@@ -3,7 +3,6 @@
 import copy
 import functools
 import inspect
-import itertools
 import os
 import re
 import sys
@@ -23,7 +22,6 @@ from eqsim.lazy import lazily
 
 with lazily():
     from eqsim.io import runfile, surface
-    from eqsim.model import groups
     from eqsim.workflows import report as results
 
 Progress = Callable[[int, float], None]
@@ -96,10 +94,8 @@ class Shown:
             print(line, flush=True)
 
     def doubt(self, file: "runfile.RunFile", drive: Any = None) -> None:
-        """Warn on standard error about numbers whose units were probably mixed, and what
-        was assumed for a surface in units."""
-        lines = (groups.doubts(file.ensemble, drive), surface.doubts(file))
-        for line in itertools.chain(*lines) if not self.quiet else ():
+        """Warn on standard error about what is doubtful (`surface.doubts`)."""
+        for line in surface.doubts(file, drive) if not self.quiet else ():
             complain(f"warning: {line}")
 
     def report(self, data: Any, **more: Any) -> None:

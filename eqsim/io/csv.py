@@ -51,12 +51,10 @@ _BETWEEN = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
 
 @dataclass(frozen=True)
 class Sheet:
-    """The rows of a CSV file, whose `content` is text in an `encoding`: the `field` (the
-    key that names the file, and its path) with which messages begin, the names of
+    """The rows of a CSV file, whose `content` is text in an `encoding`: the `field`
+    (the key that names the file, and its path) with which messages begin, the names of
     `columns`, the number of the `first` line, after which rows begin (it holds the
-    names, or `units` below), the `separator` of cells, " " for any number of blanks,
-    and the `decimal` sign.
-    """
+    names, or `units` below), what separates cells, and the `decimal` sign."""
 
     field: str
     columns: list[str]
@@ -87,9 +85,8 @@ class Sheet:
         return ", ".join(parts)
 
     def index(self, name: str, hint: str = "") -> int:
-        """Number of the column with a name, or with this name before a unit in
-        brackets. Raises InputError, to which a `hint` is added, unless exactly one
-        has."""
+        """Number of the column with a name, before a unit in brackets if need be.
+        Raises InputError, to which a `hint` is added, unless exactly one has."""
         bare = [re.sub(r"\s*[(\[][^)\]]*[)\]]$", "", column) for column in self.columns]
         columns = self.columns if name in self.columns else bare
         count = columns.count(name)
@@ -217,8 +214,8 @@ def _pointed(cell: str) -> str:
 
 
 class Numbers(NamedTuple):
-    """Numbers, shape (rows, columns), their lines, the number of rows that were left out
-    for a gap, and the first number of the first column, also of such a row."""
+    """Numbers, shape (rows, columns), their lines, the number of rows that were left
+    out for a gap, and the first number of the first column, also of such a row."""
 
     values: Array
     lines: Array
@@ -233,9 +230,9 @@ def numbers(
     strict: bool = False,
     progress: Callable[[int, float], None] = lambda done, total: None,
 ) -> Numbers:
-    """Finite numbers in some columns of a file. Rows with an empty cell or NaN in one of
-    them are left out and counted, if not `strict`. Raises InputError, with the line, for
-    any other cell that holds none."""
+    """Finite numbers in some columns of a file. Rows with an empty cell or NaN in one
+    of them are left out and counted, if not `strict`. Raises InputError, with the line,
+    for any other cell that holds none."""
     where = [sheet.index(name) for name in names]
     values, lines, gaps, first = array("d"), array("q"), 0, math.nan
     total = sheet.content.count(b"\n")
@@ -333,9 +330,8 @@ def number(cell: str, where: str) -> float:
 
 def written(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Iterator[str]:
     """The lines of a table, names of columns first. Text is in quotes, so that no # in
-    it begins a comment; a value that is missing or NaN is an empty cell, and numbers
-    are as exact as they are. Raises InputError for text with a line break, which no
-    cell can hold."""
+    it begins a comment; a missing value or NaN is an empty cell, and numbers are exact.
+    Raises InputError for text with a line break, which no cell can hold."""
     yield ",".join(_name(name) for name in columns)
     for row in rows:
         yield ",".join(map(_cell, row)) or '""'  # an empty line would be none

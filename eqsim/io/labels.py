@@ -33,8 +33,7 @@ def column(name: str, units: Units, fractions: bool = False) -> tuple[str, str]:
     `fractions`: whether stretches of the newborn are fractions of their thresholds.
 
     Words are "" of a key of a run file, whose name says it. The unit is such as "um/s",
-    or "length/time" where units are not given; "" of a number and of what is not known.
-    """
+    or "length/time" where units are not given; "" of a number and what is not known."""
     for suffix, (text, same) in _SUFFIXES.items():
         if name.endswith(suffix):
             _, unit = column(name.removesuffix(suffix), units, fractions)
@@ -95,8 +94,7 @@ def axis(
 ) -> str:
     """A label for the axis of a key, an observable or a column of a sweep, or the head
     of a legend, which says nothing of an `unknown` unit; `stress`: the unit of a shear
-    stress, if it is known; `fractions`: whether stretches of the newborn are fractions
-    of their thresholds."""
+    stress, if known; `fractions`: those of `column`."""
     entry = catalogue.entry(name)
     if entry is None or not entry.words:
         return plain(name)

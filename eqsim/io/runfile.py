@@ -570,8 +570,8 @@ _PARAMETERS: dict[str, type] = {
 
 def keys(file: RunFile | None = None) -> dict[str, type]:
     """Every `section.key` (or top-level key) but `title`, `sweep`, `units` and
-    `interface`, and the type of its values: float, int or str. Given a `file`, also
-    those that its programme, stage, coupled blocks, pathways or populations have, as
+    `interface`, and the type of its values: float, int or str. Of a `file` also those
+    of its programme, stage, blocks, pathways or populations, as
     drive.programme.1.hold."""
     known = dict(_PARAMETERS)
     if file is None:
@@ -609,8 +609,9 @@ def parameters(file: RunFile) -> dict[str, Any]:
 
 
 def naming(file: RunFile) -> dict[str, Any]:
-    """The `parameters` that name a point of a sweep. Keys that came with a later version
-    are among them where they differ from their defaults: points keep their names."""
+    """The `parameters` that name a point of a sweep. Keys that came with a later
+    version are among them where they differ from their defaults: points keep their
+    names."""
     newer = {name for name, key in catalogue.KEYS.items() if key.since}
     return {
         key: value
@@ -721,8 +722,8 @@ def _heat(file: RunFile) -> None:
 
 
 def _stage(file: RunFile) -> None:
-    """Put in the stiffness and damping of a stage that follow from those of its machine,
-    as `_heat` does. Raises InputError."""
+    """Put in the stiffness and damping of a stage that follow from those of its
+    machine, as `_heat` does. Raises InputError."""
     stage = file.settings["drive"]["stage"]
     for name, (other, per) in _MACHINE.items() if stage else ():
         text, before = stage[name], stage[other]

@@ -173,9 +173,8 @@ def rows_of(section: str) -> list[KeyRow]:
 
 
 def _schema(section: str) -> Any:
-    """A pydantic model that checks names and types of the keys of a section. [elastic],
-    a stage and pathways are there or not; a programme is a list, and so are
-    populations, which have sections."""
+    """A pydantic model of the keys of a section. [elastic], a stage and pathways are
+    there or not; a programme is a list, and so are populations, which have sections."""
     keys: dict[str, Any] = {
         name: (key.annotation, key.default) for name, key in keys_of(section).items()
     }

@@ -39,9 +39,8 @@ def sweep_parts(folder: Path) -> list[Path]:
 
 
 def sweep_files(folder: Path) -> list[Path] | None:
-    """The Parquet files that hold the rows of a sweep, each once, whether it is
-    finished or at work; none if no row is there yet. None for a folder that holds no
-    sweep."""
+    """The Parquet files that hold the rows of a sweep, finished or at work; none if no
+    row is there yet. None for a folder that holds no sweep."""
     if not (folder / SWEEP_MANIFEST).exists():
         return None
     return [*folder.glob(SWEEP_TABLE)] or sweep_parts(folder)

@@ -3,6 +3,7 @@
 import functools
 import math
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, ParamSpec, TypeVar
@@ -30,11 +31,9 @@ def remembered(read: Callable[More, Result]) -> Callable[More, Result]:
     @functools.wraps(read)
     def reader(*args: More.args, **kwargs: More.kwargs) -> Result:
         stamp = None
-        try:
+        with suppress(OSError, ValueError):  # `read` says why
             found = Path(str(args[0])).stat()
             stamp = found.st_mtime_ns, found.st_size
-        except (OSError, ValueError):  # `read` says why
-            pass
         return cached(stamp, *args, **kwargs)  # type: ignore[arg-type]
 
     return reader
@@ -44,8 +43,8 @@ def remembered(read: Callable[More, Result]) -> Callable[More, Result]:
 def read_thresholds(path: Path, column: str | None = None, scale: float = 1.0) -> Table:
     """The empirical law of a CSV file, one positive number a row, in a `column`, by
     default `threshold` or the only one there is, which needs no name. Thresholds are
-    multiplied by `scale`, such as 1e-9 of nanometres where lengths are in metres. Raises
-    InputError, with the line that cannot be used."""
+    multiplied by `scale`, such as 1e-9 of nanometres where lengths are in metres.
+    Raises InputError, with the line that cannot be used."""
     field, values = f"thresholds.file = {path}", []
     for line, text in _column_of_thresholds(csv.read(path, field), column):
         value = csv.value_of(text)
@@ -79,10 +78,7 @@ def _column_of_thresholds(
 class DriveRecord:
     """How a recorded drive is read: its columns, the time on its clock that becomes 0
     ("first row" or a number; also the displacement there), and whether it is smoothed,
-    as straight lines that noise hides.
-
-    Raises InputError for columns without a name.
-    """
+    as straight lines that noise hides."""
 
     time: str = "t"
     displacement: str = "X"
@@ -101,8 +97,7 @@ class RecordedDrive(NamedTuple):
 def read_drive(path: Path, record: DriveRecord | None = None) -> RecordedDrive:
     """The segments of a recorded drive: a CSV file with times and displacements,
     piecewise linear. Without a `record` the columns are `t` and `X`, from 0 and 0 on,
-    and gaps and equal times are refused. Raises InputError, with the line that cannot
-    be used."""
+    and gaps and equal times are refused. Raises InputError, with the line."""
     field, how = f"file = {path}", record or DriveRecord()
     sheet = csv.read(path, field)
     names, strict = [how.time, how.displacement], record is None
@@ -118,9 +113,9 @@ def read_drive(path: Path, record: DriveRecord | None = None) -> RecordedDrive:
     velocity = np.diff(X) / np.diff(t)
     if how.smooth:
         t, velocity = broken_line(t, X)
-    segments = []
-    for number, (v, elapsed) in enumerate(zip(velocity, np.diff(t), strict=True), 1):
+    segments, pairs = [], zip(velocity.tolist(), np.diff(t).tolist(), strict=True)
+    for number, (v, elapsed) in enumerate(pairs, 1):
         with under(field if how.smooth else f"{field}, line {lines[number]}"):
-            segments.append(Segment(float(v), time=float(elapsed)))
+            segments.append(Segment(v, time=elapsed))
     smoothed = f"smoothed to {len(segments)} segments" if how.smooth else "not smoothed"
     return RecordedDrive(segments, [f"{lines.size} instants", *said, smoothed])

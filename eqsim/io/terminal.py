@@ -107,9 +107,9 @@ def duration(seconds: float) -> str:
 def announcing(
     progress: Callable[[int, int], None], note: Callable[[str], None]
 ) -> Callable[[int, int], None]:
-    """`progress(done, total)` of lives that are drawn in attempts, each of which begins
-    with done = 0; it also notes how long an attempt of more than 20 s will take, by the
-    speed of the one before."""
+    """`progress(done, total)` of lives drawn in attempts, each of which begins with
+    done = 0, and a note how long an attempt of over 20 s takes at the speed of the last
+    one."""
     begin, speed, largest = 0.0, 0.0, 0
 
     def announced(done: int, total: int) -> None:

@@ -245,12 +245,10 @@ class Quantity(NamedTuple):
 def quantities(
     ensemble: Ensemble, units: Units, interface: Interface
 ) -> tuple[Quantity, ...]:
-    """Give the friction F/(N k) of an ensemble in the quantities of a laboratory.
-
-    The force is that of all contacts of the interface and is known if anything of the
-    interface is given, or a unit of force; the shear stress if an area or contacts per
-    area are; the coefficient if a load or normal stress is.
-    """
+    """The friction F/(N k) of an ensemble in the quantities of a laboratory. The force
+    is that of all contacts of the interface and is known if anything of the interface
+    is given, or a unit of force; the shear stress if an area or contacts per area are;
+    the coefficient if a load or normal stress is."""
     if not interface and not units.force:
         return ()
     k, count = ensemble.mean_stiffness, ensemble.count
@@ -387,8 +385,7 @@ def rows_of(
     averages: Averages, units: Units, found: Iterable[Quantity]
 ) -> list[tuple[str, Row]]:
     """The observables that a table shows, each with its row; those of friction as a
-    force, stress and coefficient come after itself. Units are shown where any is known.
-    """
+    force, stress and coefficient come after itself, with units if any is known."""
     found = [quantity.near(averages.friction.value or 0.0) for quantity in found]
     several = bool(units or found)
     rows = []

@@ -209,9 +209,8 @@ class Stage(Checked):
 
 
 class Grid(NamedTuple):
-    """When the force is recorded: times, displacements, and the segment that each
-    instant belongs to (it ends there, or is under way), arrays (points,); the instant 0
-    belongs to segment 0."""
+    """Times and displacements at which the force is recorded, and the segment that ends
+    there or is under way, arrays (points,); the instant 0 belongs to segment 0."""
 
     t: Array
     X: Array
@@ -379,7 +378,8 @@ class Programme(Checked):
 
     def grid(self, points: int) -> Grid:
         """About `points` instants: equidistant along a segment that moves or whose
-        force or load changes, at equal ratios from the 1e-5th part of a hold or creep on."""
+        force or load changes, at equal ratios from the 1e-5th part of a hold or creep
+        on."""
         share = max(1, (points - 1) // len(self.segments))
         parts = [Grid(np.zeros(1), np.zeros(1), np.zeros(1, np.int64))]
         for index, segment in enumerate(self.segments):

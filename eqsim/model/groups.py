@@ -31,9 +31,8 @@ class Group(NamedTuple):
 
 
 def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
-    """List what decides the regime of a run; along a programme velocity is that of its
-    fastest segment. Those of several kinds of contacts are numbered. Raises
-    InputError."""
+    """What decides the regime of a run; along a programme velocity is that of the
+    fastest segment. Several kinds of contacts are numbered. Raises InputError."""
     if ensemble.populations:
         way, found = over_distance(drive, ensemble), list[Group]()
         for kind in ensemble.kinds:

@@ -65,12 +65,12 @@ _LARGEST_POOLED_B = 1e15
 
 
 class Reduced(NamedTuple):
-    """An ensemble at constant velocity in dimensionless numbers; lengths are in units of
-    `law.scale`, but for those of the laws of thresholds and births, the user's.
+    """An ensemble at constant velocity in dimensionless numbers; lengths are in units
+    of `law.scale`, but for those of the laws of thresholds and births, the user's.
 
     The barrier has b = k x_*^2/(2 kT) (nt08a) and log_w = ln(omega x_*/v), and is
-    `Mechanical` where heat breaks no contact. If `one_sided`, the threshold of a newborn
-    contact has to be above y, not |y|: the published master equation.
+    `Mechanical` where heat breaks no contact. If `one_sided`, the threshold of a
+    newborn contact has to be above y, not |y|: the published master equation.
     """
 
     law: ThresholdLaw  # at birth
@@ -141,9 +141,8 @@ def reduced(
 
 
 class Leg(NamedTuple):
-    """A segment of a programme in dimensionless numbers. Its time counts as displacement
-    at the `pace` |v|, in a hold that of a segment that moves.
-    """
+    """A segment of a programme in dimensionless numbers. Its time counts as
+    displacement at the `pace` |v|, in a hold that of a segment that moves."""
 
     sign: int  # of the velocity; 0 in a hold
     pace: float  # (length/time)
@@ -240,8 +239,8 @@ class Pull(NamedTuple):
 
 
 def pull_of(ensemble: Ensemble, programme: Programme) -> Pull:
-    """Find the pull on the slider of a programme. Raises InputError if nothing does, or a
-    number is out of range."""
+    """Find the pull on the slider of a programme. Raises InputError if nothing does, or
+    a number is out of range."""
     stage, unit = programme.stage, ensemble.thresholds.scale
     if programme.chain:
         said = "a chain of blocks is simulated by `trajectory` and `eqsim run` alone"
@@ -283,8 +282,7 @@ def births(
     ensemble: Ensemble, velocity: float, mean_stretch: float | None = None
 ) -> ThresholdLaw:
     """Law of thresholds at birth: newborn ones, final ones if they age at once, or
-    those of star1 for annealed contacts of mean stretch C at breaking (length). Raises
-    InputError."""
+    those of star1 for annealed contacts of mean stretch C at breaking (length)."""
     law, aging = ensemble.thresholds, ensemble.aging
     if not aging.active or not isinstance(law, Gamma):
         return law
@@ -332,8 +330,8 @@ def _check_unlimited(law: NoThresholds, barrier: Barrier) -> None:
 
 def _barrier(ensemble: Ensemble, velocity: float, unit: float) -> Barrier:
     """The barrier, or none where heat breaks contacts too rarely to change any average
-    by 1e-10. Raises InputError for annealed contacts if it does and b is beyond 1e15.
-    """
+    by 1e-10. Raises InputError for annealed contacts if it does and b is beyond
+    1e15."""
     thermal = ensemble.thermal
     law: Any = BARRIERS[thermal.barrier]
     b, rate, *others = law.numbers(thermal, ensemble.stiffness, unit)

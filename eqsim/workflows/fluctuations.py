@@ -55,8 +55,8 @@ class SampledCovariance:
 
 @dataclass(frozen=True)
 class FluctuationsResult(FileResult):
-    """Fluctuations of a run file, exact and simulated; if nothing was simulated, `sample`
-    is None for the `reason` given. `asked` holds lag, points and lives."""
+    """Fluctuations of a run file, exact and simulated; if nothing was simulated,
+    `sample` is None for the `reason` given. `asked` holds lag, points and lives."""
 
     file: RunFile
     exact: Fluctuations
@@ -197,10 +197,7 @@ def sampled(
 ) -> SampledCovariance:
     """Estimate the autocovariance at `points` lags up to the drive's distance, from
     independent stationary ensembles over twice that distance. Products are of forces
-    less their exact mean: that of the sample would bias them.
-
-    Raises InputError where an ensemble cannot be simulated so.
-    """
+    less their exact mean: that of the sample would bias them. Raises InputError."""
     if ensemble.populations:
         raise InputError("population: this is simulated for contacts of one kind")
     exact = reference(ensemble, drive, variance=True)

@@ -17,10 +17,8 @@ _KINK = 0.05  # share of its height by which a reliable maximum may be missed
 
 def static_peak(ensemble: Ensemble, drive: Drive, run: Trajectory) -> Peak | None:
     """The first maximum of the force of a run after a fresh start, within four rms
-    thresholds, with standard errors; without values where no maximum is seen, and None
-    for a stationary start, which has no peak, and several kinds of contacts. The grid of the run needs several points
-    before the peak.
-    """
+    thresholds, with standard errors; without values where none is seen on the grid, and
+    None for a stationary start, which has no peak, and several kinds of contacts."""
     if drive.start == "stationary" or ensemble.populations:
         return None
     period = ensemble.thresholds.rms

@@ -147,6 +147,11 @@ class SimulatedFile(FileResult, Listed):
         points = self.file.output.points
         return if_any(lambda: transient(self.ensemble, self.drive, points))
 
+    @property
+    def folder(self) -> Any:
+        """The folder in which paths in the run file start."""
+        return self.file.folder
+
     def to_pandas(self) -> Any:
         """A DataFrame of the trajectory."""
         return self.trajectory.to_pandas()

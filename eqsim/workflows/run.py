@@ -267,8 +267,8 @@ class ProgrammeResult(SimulatedFile):
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
         """Force at the end and at the peak of each segment, as a quantity of the
-        interface if there is one; z is the difference of the force at the end from the
-        exact mean in standard errors."""
+        interface if there is one; z compares the force at the end with the exact
+        mean."""
         exact, segments = self.exact_segments, self.trajectory.segments
         shown = self.file.preferred(segments[0].peak)
         forces, row = ("force then", "z", "peak"), Row("", (), shown)
@@ -291,22 +291,23 @@ class ProgrammeResult(SimulatedFile):
         shown = self.file.preferred(segments[0].peak)
         row = Row("", (), shown)
         of = f" of {shown.symbol}" if shown else ""
+
+        def told(found: dict[str, Any]) -> str:
+            return ", ".join(f"{name} {row.of(x)}" for name, x in found.items() if x)
+
         noisy = self.file["drive.file"] is not None and len(segments) > _MOST_LINES
         if noisy:
             yield "steps and holds of a long record: drive.record.smooth = true tells them from noise"
         for index, segment in enumerate(() if noisy else segments[:_MOST_LINES]):
             names = "relaxation", "healing", "drop"
-            known = {name: getattr(segment, name) for name in names}
-            said = [f"{name} {row.of(found)}" for name, found in known.items() if found]
-            if said:
+            if said := told({name: getattr(segment, name) for name in names}):
                 where = "reload" if segment.velocity else "hold"
-                yield f"{where} of segment {index}: {', '.join(said)}{of}"
+                yield f"{where} of segment {index}: {said}{of}"
             if step := segment.step:
                 effects = {"direct": step.direct, "evolution": step.evolution}
-                effects |= {"a - b": step.a_minus_b}
-                said = [f"{name} {row.of(found)}" for name, found in effects.items()]
+                said = told(effects | {"a - b": step.a_minus_b})
                 memory = f"memory length {step.memory}"
-                yield f"velocity step of segment {index}: {', '.join(said)}{of} per ln v; {memory}"
+                yield f"velocity step of segment {index}: {said}{of} per ln v; {memory}"
         if self.healing:
             time = self.file.units.time
             yield f"healing{of}: {self.healing.told(row.of(self.healing.rate), time)}"
@@ -379,8 +380,8 @@ class SliderResult(ProgrammeResult):
 
     def _sizes(self, breaks: Array, t: Array) -> tuple[Array, int, Array]:
         """Sizes of bursts under a force, or of avalanches in the second half of a run
-        behind a stage; what their numbers are divided by, and the exact law, if there
-        is one."""
+        behind a stage; what numbers are divided by, and the exact law, if there is
+        one."""
         contacts, stage = self.ensemble, self.drive.stage
         per, most = contacts.count * self.file.output.replicas, _LARGEST_SIZE
         if stage is not None:
@@ -401,7 +402,8 @@ class SliderResult(ProgrammeResult):
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
         """Each slip, and the mean period and drop, which leave out the first; under a
-        force the lifetime and strength, and the exact lifetime of identical contacts."""
+        force the lifetime and strength, and the exact lifetime of identical
+        contacts."""
         run, drive = self.trajectory, self.drive
         if drive.forced:
             known = if_any(lambda: lifetime(self.ensemble, drive, points=2)).solution

@@ -201,9 +201,8 @@ def _with_error(value: Estimate | str) -> str:
 def stability(
     file: RunFile, *, borders: bool, bar: Callable[[str, str], Any]
 ) -> StabilityResult | ModesResult:
-    """Find whether the slider or the chain of a run file slides steadily, and if asked for, the
-    `borders` over velocity. `bar(title, unit)` is a context with a progress bar. Raises
-    InputError."""
+    """Find whether the slider or the chain of a run file slides steadily, and the
+    `borders` over velocity; `bar(title, unit)` shows progress. Raises InputError."""
     if isinstance(file.drive, Programme) and isinstance(file.blocks, Chain):
         with bar("modes of the chain", ""):
             return ModesResult(file, chain_modes(file.ensemble, file.drive))
