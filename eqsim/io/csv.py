@@ -51,19 +51,16 @@ _BETWEEN = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
 
 @dataclass(frozen=True)
 class Sheet:
-    """The rows of a CSV file, whose `content` is text in an `encoding`: the `field`
-    (the key that names the file, and its path) with which messages begin, the names of
-    `columns`, the number of the `first` line, after which rows begin (it holds the
-    names, or `units` below), what separates cells, and the `decimal` sign."""
+    """The rows of a CSV file."""
 
-    field: str
-    columns: list[str]
-    first: int
-    content: bytes
+    field: str  # the key that names the file, and its path: messages begin with it
+    columns: list[str]  # their names
+    first: int  # number of the line, with names or units, after which rows begin
+    content: bytes  # text in the `encoding`
     encoding: str = "utf-8-sig"
-    separator: str = ","
+    separator: str = ","  # of cells; " " for any number of blanks
     decimal: str = "."
-    units: bool = False
+    units: bool = False  # the `first` line holds units
 
     @property
     def sha256(self) -> str:

@@ -1,8 +1,9 @@
 """Tables that a run file names: CSV files of thresholds and of recorded drives."""
 
 import functools
+import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,10 +47,14 @@ def read_thresholds(path: Path, column: str | None = None, scale: float = 1.0) -
     multiplied by `scale`, such as 1e-9 of nanometres where lengths are in metres.
     Raises InputError, with the line that cannot be used."""
     field, values = f"thresholds.file = {path}", []
-    for line, text in _column_of_thresholds(csv.read(path, field), column):
-        value = csv.value_of(text)
+    sheet, hint = csv.read(path, field), " (thresholds.column names another)"
+    alone = column is None and len(sheet.columns) == 1
+    index = 0 if alone else sheet.index(column or "threshold", hint)
+    first = [(sheet.first, sheet.columns)] * (alone and sheet.headless)
+    for line, cells in itertools.chain(first, sheet.rows()):
+        value = csv.value_of(cells[index])
         if not 0 < value < math.inf:
-            said = f"{text[:40]!r} must be a finite number > 0"
+            said = f"{cells[index][:40]!r} must be a finite number > 0"
             raise InputError(f"{field}, line {line}: {said}")
         values.append(value * scale)
     if not values:
@@ -58,20 +63,6 @@ def read_thresholds(path: Path, column: str | None = None, scale: float = 1.0) -
         return Table(values)
     except InputError as error:
         raise InputError(f"{field}: {error}") from None
-
-
-def _column_of_thresholds(
-    sheet: csv.Sheet, column: str | None
-) -> Iterator[tuple[int, str]]:
-    """Lines and cells of a column, as `read_thresholds` finds it."""
-    index = 0
-    if column is None and len(sheet.columns) == 1:
-        if sheet.headless:
-            yield sheet.first, sheet.columns[0]
-    else:
-        index = sheet.index(column or "threshold", " (thresholds.column names another)")
-    for line, cells in sheet.rows():
-        yield line, cells[index]
 
 
 @dataclass(frozen=True)

@@ -301,15 +301,12 @@ class Programme(Checked):
         if not self.forced:
             said = "a segment has a force, not beside segments with a velocity or hold"
             raise InputError(f"programme: {said}; a programme has one kind")
-        for name, there, said in (
-            ("stage", self.stage is not None, "not allowed"),
-            ("chain", self.chain is not None, "not allowed"),
-            ("stall_force", self.motor, "not allowed"),
-            ("start", self.start != "fresh", 'must be "fresh"'),
-        ):
-            if there:
-                pulls = "with a force, which pulls the slider itself"
-                raise InputError(f"{name}: {said} {pulls}")
+        pulls = "with a force, which pulls the slider itself"
+        others = {"stage": self.stage, "chain": self.chain, "stall_force": self.motor}
+        for name in (name for name, other in others.items() if other):
+            raise InputError(f"{name}: not allowed {pulls}")
+        if self.start != "fresh":
+            raise InputError(f'start: must be "fresh" {pulls}')
 
     def _require_forwards(self) -> None:
         """Raise InputError unless a plate alone pulls blocks, forwards."""
@@ -422,29 +419,15 @@ def require_drive(drive: Drive | Programme) -> Drive:
 
 @dataclass(frozen=True)
 class Output(Checked):
-    """The recording of a run.
-
-    Raises InputError for a value out of range.
-
-    Parameters
-    ----------
-    points : int
-        Instants at which the force is recorded.
-    seed : int
-        Random seed.
-    replicas : int
-        Independent ensembles, over which the force is averaged.
-    series : bool
-        Whether the force of every replica is kept.
-    breaks : bool
-        Whether every break is listed.
-    """
+    """The recording of a run: how many `points` in time, of independent ensembles, the
+    `replicas`, over which the force is averaged. Raises InputError for a value out of
+    range."""
 
     points: Annotated[int, Limits(2, 2 * 10**7)] = 2001
     seed: Annotated[int, Limits(0, 2**63 - 1)] = 1
     replicas: Annotated[int, Limits(1, 10**9)] = 1
-    series: bool = False
-    breaks: bool = False
+    series: bool = False  # keep the force of every replica
+    breaks: bool = False  # list every break
 
     def __post_init__(self) -> None:
         super().__post_init__()
