@@ -22,6 +22,7 @@ from eqsim.lazy import lazily
 
 with lazily():
     from eqsim.io import runfile, surface
+    from eqsim.model import groups
     from eqsim.workflows import report as results
 
 Progress = Callable[[int, float], None]
@@ -94,8 +95,10 @@ class Shown:
             print(line, flush=True)
 
     def doubt(self, file: "runfile.RunFile", drive: Any = None) -> None:
-        """Warn on standard error about what is doubtful (`surface.doubts`)."""
-        for line in surface.doubts(file, drive) if not self.quiet else ():
+        """Warn on standard error about numbers whose units were probably mixed, and what
+        was assumed for a surface in units."""
+        lines = [*groups.doubts(file.ensemble, drive), *surface.doubts(file)]
+        for line in lines if not self.quiet else ():
             complain(f"warning: {line}")
 
     def report(self, data: Any, **more: Any) -> None:

@@ -1,13 +1,11 @@
 """The surface and the machine that a run file with units stands for."""
 
 from collections.abc import Iterator
-from typing import Any
 
 from eqsim import catalogue
 from eqsim.io.runfile import RunFile
 from eqsim.io.units import number_and_unit
 from eqsim.laws.barrier import BARRIERS
-from eqsim.model import groups
 
 _IDLE_B = 1e10  # k x_*^2/(2 kT) above which heat changes friction by less than 1e-8
 _LARGEST_MU = 5.0  # friction coefficient above which units were probably mixed
@@ -26,11 +24,9 @@ def machine_stiffness(file: RunFile, stiffness: float) -> str:
     return next((f"{one.factor * stiffness:.5g} {unit}" for one in forces), "")
 
 
-def doubts(file: RunFile, drive: Any = None) -> Iterator[str]:
-    """Warn about units that were probably mixed (`groups.doubts`). For a surface whose
-    units or interface are given, say what was assumed, and warn of heat that is idle and
-    a friction coefficient that is too large."""
-    yield from groups.doubts(file.ensemble, drive)
+def doubts(file: RunFile) -> Iterator[str]:
+    """Say what was assumed for a surface whose units or interface are given, and
+    warn of heat that is idle and a friction coefficient that is too large."""
     if not file.units and not file.interface:
         return
     thermal, kinds = file.ensemble.thermal, file["population"]
