@@ -63,18 +63,6 @@ class Measurements(NamedTuple):
         return list(dict.fromkeys(one.set for one in self.conditions))
 
 
-class _Line(NamedTuple):
-    """A line of a data file: its cells by column, and the beginning of messages about
-    it."""
-
-    cells: dict[str, str]
-    where: str
-
-    def value(self, name: str) -> float:
-        """The finite number in a column. Raises InputError."""
-        return csv.number(self.cells[name], self.where + name)
-
-
 def read_table(path: Path, file: RunFile, fit: Fit) -> Measurements:
     """Read the measurements of a CSV file.
 
@@ -84,31 +72,35 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Measurements:
     """
     sheet = csv.read(path, f"fit.data = {path}")
     names, observables = _checked_columns(sheet, file, fit)
+    of_heat = [] if fit.temperature is None else [fit.temperature]
     measured, count = list[tuple[MeasuredAt, str, float, float]](), 0
     for number, texts in sheet.rows():
         if not any(texts):  # spreadsheets append such lines
             continue
         where = f"fit.data, line {number}: "
         cells = dict(zip(sheet.columns, texts, strict=True))
-        line = _Line(cells, where)
-        changes = tuple((name, line.value(name)) for name in names if cells[name])
+        given = {
+            name: csv.number(cells[name], where + name)
+            for name in (*names, *of_heat, *observables)
+            if cells[name] or name in of_heat
+        }
+        changes = tuple((name, given[name]) for name in names if name in given)
         kelvin = unit = fit.reference_temperature or 1.0
-        if fit.temperature is not None:
-            kelvin = line.value(fit.temperature)
-            if not kelvin > 0:
-                raise InputError(f"{where}{fit.temperature} = {kelvin:g}: must be > 0")
+        for name in of_heat:
+            if not (kelvin := given[name]) > 0:
+                raise InputError(f"{where}{name} = {kelvin:g}: must be > 0")
         if not any(cells[name] for name in observables):
             raise InputError(
                 f"{where}no observable has a value; leave the line out, or measure one"
             )
         name_of_set = cells.get("set", "").strip()
-        where_measured = MeasuredAt(changes, kelvin / unit, name_of_set, number, kelvin)
+        here = MeasuredAt(changes, kelvin / unit, name_of_set, number, kelvin)
         for name in observables:
-            if cells[name]:
-                value = line.value(name)
-                sigma = _sigma(line, name, fit)
-                measured.append((where_measured, name, value, sigma))
-            elif cells.get(f"{name}_stderr"):
+            stderr = cells.get(f"{name}_stderr")
+            if name in given:
+                sigma = _sigma(where + name, given[name], stderr, fit)
+                measured.append((here, name, given[name], sigma))
+            elif stderr:
                 raise InputError(f"{where}{name}_stderr has no {name} beside it")
         count += 1
     if not measured:
@@ -157,19 +149,19 @@ def _checked_columns(
     return [name for name in header if name in known], observables
 
 
-def _sigma(line: _Line, name: str, fit: Fit) -> float:
-    """The standard error of a measurement. Raises InputError."""
-    text, where = line.cells.get(f"{name}_stderr", ""), line.where
-    if text:
-        sigma = csv.value_of(text)
+def _sigma(field: str, value: float, stderr: str | None, fit: Fit) -> float:
+    """The standard error of a measurement, by its cell if that holds one. Raises
+    InputError."""
+    if stderr:
+        sigma = csv.value_of(stderr)
         if not 0 < sigma < math.inf:
-            given = f"{name}_stderr = {text[:40]}"
-            raise InputError(f"{where}{given}: must be finite and > 0")
+            given = f"{field}_stderr = {stderr[:40]}"
+            raise InputError(f"{given}: must be finite and > 0")
         return sigma
-    value, noise = line.value(name), fit.noise
+    noise, name = fit.noise, field.rpartition(" ")[2]
     if noise.relative == 0 and noise.absolute == 0:
-        raise InputError(f"{where}{name} has no {name}_stderr; give one, or fit.noise")
+        raise InputError(f"{field} has no {name}_stderr; give one, or fit.noise")
     if value <= 0 and noise.absolute == 0:
-        given = f"{where}{name} = {value:g}"
-        raise InputError(f"{given}: must be > 0 without fit.noise.absolute")
+        said = "must be > 0 without fit.noise.absolute"
+        raise InputError(f"{field} = {value:g}: {said}")
     return math.hypot(noise.relative * value, noise.absolute)

@@ -161,7 +161,7 @@ def _measurable(prepared: Prepared, u: Array, v: Array, T: Array) -> Problem:
     if not force.any():
         raise InputError("fit.data: design needs measurements of friction")
     relative = float(np.median(table.sigma[force] / np.abs(table.value[force])))
-    heat = T / (fit.reference_temperature or 1.0) if fit.temperature else T**0
+    heat = T / (fit.reference_temperature or 1.0)
     rows = [
         MeasuredAt((("drive.velocity", speed),), warmth, table.sets[0])
         for speed, warmth in zip(v.tolist(), heat.tolist(), strict=True)

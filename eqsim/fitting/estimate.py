@@ -68,18 +68,15 @@ class _Search:
 
     def jacobian(self, x: Array) -> Array:
         """Derivatives of residuals by finite differences."""
-        step, pairs = self.problem.step, []
-        for i, value in enumerate(x):
-            signed = step if value + step <= self.high[i] else -step
-            moved, other = x.copy(), x.copy()
-            moved[i] += signed
-            if self.problem.central:
-                other[i] = min(max(value - signed, self.low[i]), self.high[i])
-            pairs.append((moved, other))
-        ends = self.each(self.residuals, [point for pair in pairs for point in pair])
-        r = np.array(list(ends)).reshape(len(pairs), 2, -1)
-        width = [moved[i] - other[i] for i, (moved, other) in enumerate(pairs)]
-        return ((r[:, 0] - r[:, 1]) / np.array(width)[:, None]).T
+        step, each_alone = self.problem.step, np.eye(x.size, dtype=bool)
+        signed = np.where(x + step <= self.high, step, -step)
+        ahead, behind = x + signed, x
+        if self.problem.central:
+            behind = np.clip(x - signed, self.low, self.high)
+        ends = [np.where(each_alone, end, x) for end in (ahead, behind)]
+        r = np.array(list(self.each(self.residuals, np.concatenate(ends))))
+        change = r[: x.size] - r[x.size :]
+        return np.asarray((change / (ahead - behind)[:, None]).T)
 
     def minimum(self, x: Array, converged: bool) -> Minimum:
         """The end of a search at `x`."""

@@ -228,11 +228,6 @@ class Problem:
         added = [values[key] * base for key, base in self.nuisance.items()]
         return np.asarray(self._factor(values) * raw + sum(added))
 
-    def _column(self, index: int, raw: Array) -> Array:
-        """Derivative of predictions with respect to a linear parameter."""
-        scaled = np.where(self.scale_of == index, raw, 0.0)
-        return self.nuisance.get(self.keys[index], scaled)
-
     def given(self, u: Array) -> Array:
         """Predictions with every parameter as given. Raises InputError."""
         return self._combined(self.forward.predict(self.changes(u))[0], self.values(u))
@@ -246,7 +241,10 @@ class Problem:
         if unknown:
             chosen = [self.parameters[i] for i in unknown]
             rest = self._combined(raw, values | {one.key: 0.0 for one in chosen})
-            columns = [self._column(i, raw) for i in unknown]
+            columns = [
+                self.nuisance.get(one.key, np.where(self.scale_of == i, raw, 0.0))
+                for i, one in zip(unknown, chosen, strict=True)
+            ]
             best = optimize.lsq_linear(
                 self.white(np.array(columns).T / self.sigma[:, None]),
                 self.white((self.value - rest) / self.sigma),
@@ -304,9 +302,7 @@ class Problem:
             down, up = u - self.step * unit, u + self.step * unit
             if self._exact(one):
                 low, high = (self._combined(raw, self.values(x)) for x in (down, up))
-                slope = float(one.value(up[i]) - one.value(down[i])) / (2.0 * self.step)
                 change = (high - low) / (2.0 * self.step)
-                change = np.where(self.spread, change, self._column(i, raw) * slope)
             else:
                 down = np.maximum(down, np.minimum(u, self.low))
                 up = np.minimum(up, np.maximum(u, self.high))

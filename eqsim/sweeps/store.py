@@ -284,7 +284,12 @@ class Store:
             metadata = {"eqsim": storage.to_json(self._origin())}
             table = table.replace_schema_metadata(metadata)
             content = storage.as_parquet(table)
-            self._hide()
+            shown, hidden = self.out / SWEEP_PARTS, self.out / SWEEP_HIDDEN
+            if hidden.exists():  # of a `compact` that was broken off
+                for path in shown.glob("*.parquet"):
+                    path.replace(hidden / path.name)
+            else:  # one rename takes them all out of the dataset
+                shown.replace(hidden)
             storage.save(self.out / SWEEP_TABLE, content)
         for path in storage.sweep_parts(self.out):
             path.unlink()
@@ -303,16 +308,6 @@ class Store:
         }
         versions = {name: ", ".join(known) for name, known in used.items()}
         return {**every[0], "versions": versions}
-
-    def _hide(self) -> None:
-        """Take the parts out of the dataset: by one rename, unless a `compact` that was
-        broken off has hidden some."""
-        shown, hidden = self.out / SWEEP_PARTS, self.out / SWEEP_HIDDEN
-        if hidden.exists():
-            for path in shown.glob("*.parquet"):
-                path.replace(hidden / path.name)
-        else:
-            shown.replace(hidden)
 
 
 def _digest(content: bytes) -> str:
