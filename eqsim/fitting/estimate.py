@@ -2,7 +2,7 @@
 
 import math
 import pickle
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -214,25 +214,20 @@ class Tasks:
                 done(index, found[index])
             else:
                 missing[index] = task
-        for index, result in self._computed(function, missing):
+        computed: Iterable[tuple[int, Any]]
+        if self.executor is None:
+            computed = ((index, function(*task)) for index, task in missing.items())
+        else:
+            submit = self.executor.submit
+            futures = {submit(function, *task): i for i, task in missing.items()}
+            computed = ((futures[one], one.result()) for one in as_completed(futures))
+        for index, result in computed:
             found[index] = result
             if self.folder:
                 content = pickle.dumps(result)
                 publish(self.folder, {f"{name}-{index}.pickle": content})
             done(index, result)
         return [found[index] for index in range(len(tasks))]
-
-    def _computed(
-        self, function: Callable[..., Any], tasks: dict[int, tuple[Any, ...]]
-    ) -> Iterator[tuple[int, Any]]:
-        """Results by number, as they are finished."""
-        if self.executor is None:
-            yield from ((index, function(*task)) for index, task in tasks.items())
-            return
-        submit = self.executor.submit
-        futures = {submit(function, *task): index for index, task in tasks.items()}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
 
 
 def different(minima: Sequence[Minimum]) -> list[Minimum]:
