@@ -22,20 +22,20 @@ same panels.
 
 import functools
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
+from scipy import optimize
 
 from eqsim.errors import InputError
-from eqsim.laws.barrier.pooled import mean_hazard, pooled_rate
+from eqsim.laws.barrier.pooled import pooled_rate
 from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.master.quenched import (
     LifeMoments,
     beyond,
     different_steps,
-    panels_between_steps,
 )
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
@@ -56,8 +56,9 @@ _RESOLVED_IN_X = 2e-12
 _RESOLVED_MIXTURE = 1e-10
 # The narrowest panel, relative to its right end.
 _NARROWEST_IN_X = 1e-14
-# Panels at most.
+# Panels at most, and more of them for each threshold of a discrete law.
 _MOST_IN_X = 1500
+_MORE_PER_STEP = 40
 # The least relative error that is quoted.
 _LEAST_ERROR = 1e-11
 
@@ -68,9 +69,8 @@ _PER_FOLD = 13.0
 _LOG_S = np.arange(-28.0, math.log(700.0), 0.1)
 _SHARE_OF_S = np.exp(_LOG_S - np.exp(_LOG_S))
 _SHARE_OF_S /= _SHARE_OF_S.sum()
-# The relative step towards the fixed point C that ends the search, and steps at most.
+# The relative step towards the fixed point C that ends the search.
 _SETTLED_C = 1e-12
-_MOST_SECANTS = 60
 # The relative change of C whose effect on C tells how errors grow.
 _CHANGE_OF_C = 1e-4
 
@@ -84,22 +84,37 @@ class Ageing(NamedTuple):
 
 def annealed_moments(
     every: Sequence[Reduced], ageing: Ageing | None = None
-) -> list[LifeMoments]:
-    """Moments of lives of annealed contacts, one for each of `every`, which differ in
+) -> LifeMoments:
+    """Moments of lives of annealed contacts at each of `every`, which differ in
     velocity only. Raises InputError for a discrete law of more than 1000 thresholds."""
-    if every[0].law.steps.size:
-        return [_moments_of_steps(contacts) for contacts in every]
-    return [LifeMoments(*row) for row in _Solution(every, ageing).moments().T.tolist()]
+    steps = np.unique(every[0].law.steps)
+    if steps.size > _MOST_THRESHOLDS:
+        raise InputError(
+            f"thresholds: {steps.size} different values; the annealed reference takes "
+            f"at most {_MOST_THRESHOLDS}"
+        )
+    return LifeMoments(*_Solution(every, ageing).moments())
 
 
-class _Mixture(NamedTuple):
-    """Gamma laws at nodes of ln x_*, and the Chebyshev coefficients that values there
-    have, shape (nodes, nodes); one law if contacts do not age."""
+class Mixture(NamedTuple):
+    """Gamma laws at Chebyshev nodes of ln (x_*/x_*i)^2 from `low` to `high`, which
+    represent any law in between, and the Chebyshev coefficients that values at the nodes
+    have, shape (nodes, nodes); a single law if low = high."""
 
     laws: list[ThresholdLaw]
     low: float = 0.0
     high: float = 0.0
     coefficients: Array = np.ones((1, 1))
+
+    def polynomials(self, log_square: Array) -> Array:
+        """Chebyshev polynomials at ln (x_*/x_*i)^2, shape (...), shape (..., laws)."""
+        width = self.high - self.low or 1.0
+        t = (2.0 * log_square - self.low - self.high) / width
+        return chebyshev.chebvander(np.clip(t, -1.0, 1.0), len(self.laws) - 1)
+
+    def shares(self, log_square: Array) -> Array:
+        """Weights by which the laws represent others, shape (..., laws)."""
+        return np.asarray(self.polynomials(log_square) @ self.coefficients)
 
     def weights(self, decay: Array, final: float, lost: int = 0) -> Array:
         """Weights of the laws in star1, given 4 D C/(v x_*f^2), shape (velocities,
@@ -107,29 +122,27 @@ class _Mixture(NamedTuple):
         if len(self.laws) == 1:
             return np.ones((decay.size, 1))
         square = final**2 - (final**2 - 1.0) * np.exp(-decay[:, None] * np.exp(_LOG_S))
-        t = (2.0 * np.log(square) - self.low - self.high) / (self.high - self.low)
-        t = np.clip(t, -1.0, 1.0)
-        before, now, twice = np.ones_like(t), t, 2.0 * t
-        means = np.empty((decay.size, len(self.laws)))
-        for k in range(len(self.laws)):  # of Chebyshev polynomials
-            means[:, k] = before @ _SHARE_OF_S
-            before, now = now, twice * now - before
+        means = _SHARE_OF_S @ self.polynomials(np.log(square))
         means[:, len(self.laws) - lost :] = 0.0
         return np.asarray(means @ self.coefficients)
 
 
-def _mixture(law: ThresholdLaw, ageing: Ageing | None) -> _Mixture:
-    if ageing is None or not isinstance(law, Gamma) or not ageing.alpha.any():
-        return _Mixture([law])
-    if ageing.final == 1.0 or np.isinf(ageing.alpha).all():
-        return _Mixture([Gamma(law.n, law.x_star * ageing.final)])
-    low, high = sorted((0.0, 2.0 * math.log(ageing.final)))
-    n = math.ceil(_PER_FOLD * 0.5 * (high - low) * math.sqrt(1.0 + law.n / 2.0))
-    n += _FEWEST_NODES
-    t = np.cos(math.pi * (np.arange(n) + 0.5) / n)
+def mixture_of(law: Gamma, low: float, high: float, count: int) -> Mixture:
+    """A mixture of so many laws that newborn thresholds of a gamma law become."""
+    t = np.cos(math.pi * (np.arange(count) + 0.5) / count)
     scales = law.x_star * np.exp(0.25 * (low + high + (high - low) * t))
     laws: list[ThresholdLaw] = [Gamma(law.n, scale) for scale in scales.tolist()]
-    return _Mixture(laws, low, high, np.linalg.inv(chebyshev.chebvander(t, n - 1)))
+    return Mixture(laws, low, high, np.linalg.inv(chebyshev.chebvander(t, count - 1)))
+
+
+def _mixture(law: ThresholdLaw, ageing: Ageing | None) -> Mixture:
+    if ageing is None or not isinstance(law, Gamma) or not ageing.alpha.any():
+        return Mixture([law])
+    if ageing.final == 1.0 or np.isinf(ageing.alpha).all():
+        return Mixture([Gamma(law.n, law.x_star * ageing.final)])
+    low, high = sorted((0.0, 2.0 * math.log(ageing.final)))
+    n = math.ceil(_PER_FOLD * 0.5 * (high - low) * math.sqrt(1.0 + law.n / 2.0))
+    return mixture_of(law, low, high, n + _FEWEST_NODES)
 
 
 class _PanelIntegrals(NamedTuple):
@@ -144,6 +157,20 @@ class _PanelIntegrals(NamedTuple):
     def total(self) -> Array:
         """C and work, shape (2, velocities)."""
         return np.asarray(self.parts.sum(axis=2))
+
+
+def _refined(
+    contacts: Reduced,
+    evaluate: Callable[[Array, Array, Array], Array],
+    judge: Callable[[Panels], tuple[Array, Any]],
+    edges: Array,
+) -> tuple[Panels, Any]:
+    """Panels from 0 on that are resolved (`numerics.panels.refined`)."""
+    pieces, steps = _SPLIT_IN_X, contacts.law.steps.size
+    if steps:  # attempts succeed in narrow layers below each threshold
+        pieces = 1.0 - pieces[::-1]
+    most = _MOST_IN_X + _MORE_PER_STEP * steps
+    return refined(evaluate, judge, edges, pieces=pieces, most=most)
 
 
 class _Solution:
@@ -161,13 +188,8 @@ class _Solution:
 
     def moments(self) -> Array:
         """C, work, and their absolute errors, shape (4, velocities)."""
-        p, of = refined(
-            self.evaluate,
-            self.judge,
-            self.first_edges(),
-            pieces=_SPLIT_IN_X,
-            most=_MOST_IN_X,
-        )
+        edges = self.first_edges()
+        p, of = _refined(self.contacts, self.evaluate, self.judge, edges)
         total = of.total
         error = of.errors.sum(axis=2) + self.missed_rate(p, of) + _LEAST_ERROR * total
         grown = np.ones(len(self.stretch))
@@ -189,12 +211,18 @@ class _Solution:
         alpha, final = self.ageing
         return self.mixture.weights(alpha * stretch, final, lost)
 
-    def rate(self, law: ThresholdLaw, y: Array, *, finer: bool = False) -> Array:
+    def rate(
+        self, law: ThresholdLaw, y: Array, above: Array, *, finer: bool = False
+    ) -> Array:
         """h(y) of contacts whose thresholds follow another `law`, lengths in units of
-        the scale of `contacts`, whose rms threshold their stiffness is relative to."""
+        the scale of `contacts`, whose rms threshold their stiffness is relative to;
+        `above` as in `successful_attempts`."""
         contacts, barrier = self.contacts, self.contacts.barrier
         if not barrier.thermal:
             return np.zeros(y.size)
+        if law.steps.size:
+            attempts = successful_attempts(contacts, y, above=above)
+            return attempts * math.exp(-barrier.log_w)
         unit = law.scale / contacts.law.scale
         b = barrier.in_unit(unit)
         if contacts.stiffness == "sqrt":
@@ -204,10 +232,15 @@ class _Solution:
 
     def evaluate(self, left: Array, right: Array, _: Array) -> Array:
         """h and J_c of each law at the nodes of panels, shape (2, laws, 17, panels)."""
-        x = left + 0.5 * (right - left) * (1.0 + ClenshawCurtis.nodes[:, None])
-        laws, scale = self.mixture.laws, self.contacts.law.scale
-        rates = [self.rate(law, x.ravel()).reshape(x.shape) for law in laws]
-        return np.array([rates, [law.sf(x * scale) for law in laws]])
+        half, laws = 0.5 * (right - left), self.mixture.laws
+        x = left + half * (1.0 + ClenshawCurtis.nodes[:, None])
+        middle = np.broadcast_to(left + half, x.shape)
+        at = x.ravel(), middle.ravel()
+        rates = [self.rate(law, *at).reshape(x.shape) for law in laws]
+        # J_c of a discrete law jumps between panels only
+        smooth = not self.contacts.law.steps.size
+        ahead = (x if smooth else middle) * self.contacts.law.scale
+        return np.array([rates, [law.sf(ahead) for law in laws]])
 
     def integrals(self, panels: Panels, weights: Array) -> _PanelIntegrals:
         """C = int J_c exp(-Delta U) dx and int x exp(-Delta U) E[kappa; xi > x] dx
@@ -264,25 +297,16 @@ class _Solution:
             C = self.integrals(panels, self.weights(np.exp(log_C))).total[0]
             return np.asarray(np.log(C) - log_C)
 
-        old = np.log(self.stretch)
-        off = excess(old)
-        new = old + off
-        for _ in range(_MOST_SECANTS):
-            fresh = excess(new)
-            if np.max(np.abs(new - old)) < _SETTLED_C:
-                break
-            with np.errstate(divide="ignore", invalid="ignore"):
-                step = -fresh * (new - old) / (fresh - off)
-            step = np.where(np.isfinite(step) & (np.abs(step) < 2.0), step, fresh)
-            old, off, new = new, fresh, new + step
-        self.stretch = np.exp(new)
+        start = np.log(self.stretch)
+        found = optimize.newton(excess, start, x1=start + excess(start), tol=_SETTLED_C)
+        self.stretch = np.exp(found)
 
     def missed_rate(self, panels: Panels, of: _PanelIntegrals) -> Array:
         """Errors of C and work by those of the pooled rate, from a finer rule in the
         middle of panels; eightfold, as that may not be the worst place."""
         middle = 0.5 * (panels.left + panels.right)
         laws = self.mixture.laws
-        finer = np.array([self.rate(law, middle, finer=True) for law in laws])
+        finer = np.array([self.rate(law, middle, middle, finer=True) for law in laws])
         here = panels.values[0, :, ClenshawCurtis.nodes.size // 2]
         missed = np.abs(self.weights(self.stretch) @ (finer - here))
         missed *= self.attempts[:, 0] * (panels.right - panels.left)
@@ -299,7 +323,9 @@ class _Solution:
         known = known[(known > 0) & np.isfinite(known)]
         least, greatest = (edge / law.scale for edge in law.support)
         top = min(greatest, float(known.max()))
-        newborn = float(self.attempts.max()) * float(self.rate(law, np.zeros(1))[0])
+        newborn = float(self.attempts.max()) * float(
+            self.rate(law, *np.zeros((2, 1)))[0]
+        )
         root = math.sqrt(barrier.b) if barrier.thermal else 0.0
         first = 0.5 / (1.0 / known.min() + newborn + root)
         rising = first * _RISE_IN_X ** np.arange(
@@ -335,38 +361,6 @@ def successful_attempts(
     return total
 
 
-def survivors_of_steps(contacts: Reduced, x: Array) -> Array:
-    """E_P(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x] of a discrete law
-    at ascending x > 0, shape (3, n). Raises InputError for more than 1000 thresholds.
-    """
-    barrier, (xi, share, kappa) = contacts.barrier, different_steps(contacts)
-    if xi.size > _MOST_THRESHOLDS:
-        raise InputError(
-            f"thresholds: {xi.size} different values; the annealed reference takes at "
-            f"most {_MOST_THRESHOLDS}"
-        )
-    with np.errstate(divide="ignore"):
-        log_G = np.log(mean_hazard(barrier, x, xi, share, barrier.b * kappa))
-    dU = np.exp(np.minimum(log_G + barrier.log_w, 7.0))
-    above = np.searchsorted(xi, x, side="right")
-    tails = [np.cumsum((share * kappa**p)[::-1])[::-1] for p in range(3)]
-    return np.exp(-dU) * np.array([np.append(tail, 0.0)[above] for tail in tails])
-
-
-def _moments_of_steps(contacts: Reduced) -> LifeMoments:
-    """Discrete thresholds: E_P drops at each of them, after a layer in which attempts
-    on it succeed."""
-    edge = panels_between_steps(contacts)
-
-    def integrate(order: int) -> Array:
-        x, weights = gauss_legendre(order).between(edge[:-1], edge[1:])
-        survive, stiff, _ = survivors_of_steps(contacts, x.ravel())
-        return weights.ravel() @ np.stack((survive, stiff * x.ravel()), axis=1)
-
-    fine, coarse = integrate(8), integrate(5)
-    return LifeMoments(*fine, *(np.abs(fine - coarse) + _LEAST_ERROR * fine))
-
-
 class PooledPolynomials:
     """(omega/v) h(x) of annealed contacts at x >= 0 as Chebyshev polynomials, and its
     integral (omega/v) G."""
@@ -397,7 +391,7 @@ class PooledPolynomials:
             rough = rough > np.maximum(seen, _RESOLVED_IN_X * most)
             return rough & (width > 1e-13 * panels.right), None
 
-        p, _ = refined(evaluate, judge, edges, pieces=_SPLIT_IN_X, most=_MOST_IN_X)
+        p, _ = _refined(contacts, evaluate, judge, edges)
         self.edges = np.append(p.left, p.right[-1])
         self._half = 0.5 * (p.right - p.left)
         self._coefficients = ClenshawCurtis.coefficients @ p.values

@@ -26,7 +26,7 @@ from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
 # log2 of -ln P(xi > .) at the beginnings of panels; nothing counts beyond these.
-_SERVICE_OCTAVES = np.arange(-54.0, 6.0)
+_OCTAVES = np.arange(-54.0, 6.0)
 # Largest size up to which the law is solved for, to bound time and memory.
 _LARGEST_SIZE = 20_000
 
@@ -93,18 +93,25 @@ def missed_by_few(
     return FewContacts(1.0 / begins - 1.0 / (1.0 - load), single)
 
 
+def nodes_of(law: ThresholdLaw, each: int) -> tuple[Array, Array]:
+    """Thresholds in units of the law's scale, and weights, arrays (nodes,), for means
+    over a law: all of a discrete one, or `each` Gauss-Legendre nodes in an octave of
+    -ln P(xi > .)."""
+    if law.steps.size:
+        xi, weight = np.unique(law.steps, return_counts=True)
+    else:
+        octave = 2.0**_OCTAVES
+        e, weight = map(np.ravel, gauss_legendre(each).between(octave, 2.0 * octave))
+        xi, weight = np.asarray(law.inverse_survival(e)), weight * np.exp(-e)
+    return xi / law.scale, weight / np.sum(weight)
+
+
 def _services(
     law: ThresholdLaw, load: float, stiffness: StiffnessLaw
 ) -> tuple[Array, Array]:
     """Mean number t of breaks that follow directly from a break, and its probability,
     arrays (nodes,): nodes and weights of E[.] over the force d that a break loses."""
-    if law.steps.size:
-        xi, weight = np.unique(law.steps, return_counts=True)
-    else:
-        octave = 2.0**_SERVICE_OCTAVES
-        e, weight = map(np.ravel, gauss_legendre(12).between(octave, 2.0 * octave))
-        xi, weight = np.asarray(law.inverse_survival(e)), weight * np.exp(-e)
-    share, xi = weight / np.sum(weight), xi / law.scale
+    xi, share = nodes_of(law, 12)
     drop = xi * relative_stiffness(stiffness, xi, law.rms / law.scale)
     # <d> by the same nodes, so that the mean of t is the load
     return load * drop / np.sum(share * drop), share

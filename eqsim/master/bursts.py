@@ -22,9 +22,9 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from eqsim.errors import InputError
-from eqsim.laws.threshold import ThresholdLaw
+from eqsim.master.quenched import kappa_of, stiffness_of_survivors
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import reduced
+from eqsim.model.reduced import Reduced, reduced
 from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.roots import bisected
 from eqsim.numerics.tables import Array
@@ -106,29 +106,29 @@ def bursts(ensemble: Ensemble, sizes: ArrayLike) -> Bursts:
     >>> [f"{number:.9f}" for number in found.number]
     ['0.160695591', '0.027820240', '0.000449469']
     """
-    law, weighted = ensemble.thresholds, ensemble.stiffness_law == "sqrt"
+    law, contacts = ensemble.thresholds, reduced(ensemble, ensemble.thresholds.scale)
     s = np.asarray(sizes, float)
     if s.ndim != 1 or not 0 < s.size <= _MOST_SIZES or np.any((s < 1) | (s % 1 != 0)):
         raise InputError(f"sizes: must be 1 to {_MOST_SIZES} whole numbers >= 1")
-    if reduced(ensemble, law.scale).barrier.thermal:
+    if contacts.barrier.thermal:
         raise InputError(
             "thermal: must be off (kT = 0); heat has no infinite time here"
         )
     if law.steps.size:
         said = "must have a density: as many as have one threshold break at once"
         raise InputError(f"thresholds = {law!r}: {said}")
-    end = _end_of(law, weighted)
+    end = _end_of(contacts)
     edges = np.concatenate(([0.0], _OCTAVES, 1.0 - _OCTAVES[-2::-1], [1.0])) * end
     kinks = -np.log(np.maximum(law.sf(law.kinks), _RAREST))
     edges = np.union1d(edges, kinks[(kinks > 0.0) & (kinks < end)])
     e, weight = map(np.ravel, gauss_legendre(16).between(edges[:-1], edges[1:]))
-    a = _followers(law, e, weighted)
+    a = _followers(contacts, e)
     begun = weight * np.exp(-e) * (1.0 - a)
     number = [np.sum(begun * _borel(size, a)) for size in s]
     stretch = float(law.inverse_survival(end))
-    held = float(_mean_stiffness(law, np.array([end]), weighted)[0])
+    held, _ = stiffness_of_survivors(contacts, np.array([stretch / law.scale]))
     left = math.exp(-end)
-    return Bursts(s, np.array(number), stretch, stretch * held * left, left)
+    return Bursts(s, np.array(number), stretch, stretch * float(held[0]) * left, left)
 
 
 def _borel(s: float, a: Array) -> Array:
@@ -142,38 +142,28 @@ def _borel(s: float, a: Array) -> Array:
     return np.asarray(np.exp(power - rest) / (s * math.sqrt(2.0 * math.pi * s)))
 
 
-def _mean_stiffness(law: ThresholdLaw, e: Array, weighted: bool) -> Array:
-    """Mean k_i/k of the contacts that are left at e = -ln P(xi > x), shape (n,)."""
-    if not weighted:
-        return np.ones(e.size)
-    ahead = 2.0 ** np.arange(-52.0, 8.0)
-    t, weight = map(np.ravel, gauss_legendre(12).between(ahead[:-1], ahead[1:]))
-    xi = law.inverse_survival(e[:, None] + t)
-    return np.asarray(xi @ (weight * np.exp(-t))) / law.rms
-
-
-def _followers(law: ThresholdLaw, e: Array, weighted: bool) -> Array:
+def _followers(contacts: Reduced, e: Array) -> Array:
     """Mean number a of breaks that follow from one at e = -ln P(xi > x), shape (n,)."""
+    law = contacts.law
     x = np.asarray(law.inverse_survival(e))
     a = x * law.pdf(x) * np.exp(e)
-    if weighted:
-        a *= x / law.rms / _mean_stiffness(law, e, True)
-    return np.asarray(a)
+    ahead, _ = stiffness_of_survivors(contacts, x / law.scale)
+    return np.asarray(a * kappa_of(contacts, x / law.scale) / ahead)
 
 
-def _end_of(law: ThresholdLaw, weighted: bool) -> float:
+def _end_of(contacts: Reduced) -> float:
     """e = -ln P(xi > x_c), where a = 1; 0 if the first break is the last burst. Raises
     InputError where a falls again to less than 1."""
     e = np.geomspace(_OCTAVES[0], _LARGEST_E, 600)
-    above = _followers(law, e, weighted) > 1.0
+    above = _followers(contacts, e) > 1.0
     if np.any(np.diff(above.astype(int)) < 0) or not above[-1]:
         said = "must have a load of all contacts, x P(xi > x), with one maximum"
-        raise InputError(f"thresholds = {law!r}: {said}")
+        raise InputError(f"thresholds = {contacts.law!r}: {said}")
     first = int(np.argmax(above))
     if first == 0:
         return 0.0
 
     def below(middle: Array) -> Array:
-        return _followers(law, middle, weighted) <= 1.0
+        return _followers(contacts, middle) <= 1.0
 
     return float(bisected(below, e[first - 1 : first], e[first : first + 1], 60)[0][0])

@@ -259,38 +259,14 @@ class PublishedAging:
 
 
 def beta(v: Any, v_eta: float, v_d: float) -> Array:
-    """Factor by which viscous detached contacts raise the friction of the delayed
-    ensemble (section V).
-
-    Parameters
-    ----------
-    v : array_like
-        Velocity.
-    v_eta, v_d : float
-        f_k/eta_l and C/tau (velocity).
-
-    Returns
-    -------
-    ndarray
-        1 + v^2/(v_eta v_d), of the shape of v.
-    """
+    """Factor 1 + v^2/(v_eta v_d), of the shape of v, by which viscous detached contacts
+    raise the friction of the delayed ensemble (section V) at velocities v, with v_eta =
+    f_k/eta_l and v_d = C/tau (velocities)."""
     return np.asarray(1 + np.asarray(v) ** 2 / (v_eta * v_d))
 
 
 def minimum_velocity(v_eta: float, v_d: float, *, printed: bool = False) -> float:
-    """Velocity at which beta(v)/(1 + v/v_d) is least at fixed C.
-
-    Parameters
-    ----------
-    v_eta, v_d : float
-        As in `beta`.
-    printed : bool
-        Whether to give the limit for v_eta >> v_d that the paper prints, sqrt(v_eta
-        v_d).
-
-    Returns
-    -------
-    float
-        v_d (sqrt(1 + v_eta/v_d) - 1) (derived).
-    """
+    """Velocity v_d (sqrt(1 + v_eta/v_d) - 1) at which beta(v)/(1 + v/v_d) is least at
+    fixed C (derived), v_eta and v_d as in `beta`; `printed` gives the limit for v_eta >>
+    v_d that the paper has, sqrt(v_eta v_d)."""
     return math.sqrt(v_eta * v_d) if printed else v_d * (math.sqrt(1 + v_eta / v_d) - 1)

@@ -28,20 +28,21 @@ age.
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy import integrate, special
-from scipy.interpolate import BarycentricInterpolator, CubicSpline
+from scipy.interpolate import CubicSpline
 
 from eqsim.errors import InputError, require_integer, require_number
 from eqsim.laws.aging import Aging, Flow
 from eqsim.laws.aging.base import scale2
 from eqsim.laws.barrier import Barrier
 from eqsim.laws.barrier.pooled import pooled_rate
-from eqsim.laws.threshold import Gamma
+from eqsim.laws.threshold import Gamma, ThresholdLaw
+from eqsim.master.annealed import mixture_of
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import reduced
@@ -200,13 +201,9 @@ class AgedLaws:
     def __init__(self, n: float, aging: Flow, reach: float, barrier: Barrier) -> None:
         self.aging, self.barrier = aging, barrier
         low, high = np.sort(self._log_square(np.array([0.0, reach])))
+        self.widest = Gamma(n, math.exp(0.5 * high))
         for count in _LAWS:
-            angle = math.pi * (np.arange(count) + 0.5) / count
-            nodes = 0.5 * (low + high + (high - low) * np.cos(angle))
-            # Chebyshev nodes of the first kind (Berrut and Trefethen, 2004)
-            weights = np.sin(angle) * (-1.0) ** np.arange(count)
-            self._shares = BarycentricInterpolator(nodes, np.eye(count), wi=weights)
-            self.laws = [Gamma(n, scale) for scale in np.exp(0.5 * nodes)]
+            self.mixture = mixture_of(Gamma(n), float(low), float(high), count)
             probe = np.linspace(low, high, 3 * count + 1)
             if high == low or (count > 1 and self._missed(probe) < _INTERPOLATION):
                 break
@@ -215,10 +212,9 @@ class AgedLaws:
                 f"x_star_final = {aging.final:g} x_star_initial: too far from it for "
                 f"thresholds of n = {n:g}"
             )
-        self.widest = Gamma(n, math.exp(0.5 * high))
         # beyond, nothing survives
         self.top = float(self.widest.inverse_survival(45.0))
-        self._rates = [_pooled_rate_of(law, barrier) for law in self.laws]
+        self._rates = [_pooled_rate_of(law, barrier) for law in self.mixture.laws]
 
     def _log_square(self, age: Array) -> Array:
         """ln x_*^2 after aging over a displacement."""
@@ -229,18 +225,18 @@ class AgedLaws:
     def shares(self, age: Array) -> Array:
         """Weights, shape (..., laws), by which the laws represent the unbroken law at
         any age."""
-        return np.asarray(self._shares(self._log_square(age)))
+        return self.mixture.shares(self._log_square(age))
 
     def _missed(self, probe: Array) -> float:
         """Largest error of J_c and x P_c at scales between the nodes."""
-        between = [Gamma(self.laws[0].n, scale) for scale in np.exp(0.5 * probe)]
+        between = [Gamma(self.widest.n, scale) for scale in np.exp(0.5 * probe)]
         e, every = np.geomspace(1e-3, 10, 7), max(1, len(between) // 12)
         x = np.ravel([law.inverse_survival(e) for law in between[::every]])
 
-        def densities(laws: list[Gamma]) -> Array:
+        def densities(laws: Sequence[ThresholdLaw]) -> Array:
             return np.array([np.append(law.sf(x), x * law.pdf(x)) for law in laws])
 
-        interpolated = self._shares(probe) @ densities(self.laws)
+        interpolated = self.mixture.shares(probe) @ densities(self.mixture.laws)
         return float(np.abs(interpolated - densities(between)).max())
 
     def lives(self) -> tuple[float, float]:
@@ -255,8 +251,8 @@ class AgedLaws:
     def tables(self, x: Array) -> _Tables:
         """The laws at stretches x, ascending from 0."""
         rates = [rate(x) for rate in self._rates]
-        above = [law.sf(x) for law in self.laws]
-        density = [law.pdf(x) for law in self.laws]
+        above = [law.sf(x) for law in self.mixture.laws]
+        density = [law.pdf(x) for law in self.mixture.laws]
         laws: Array = np.array((above, density, rates)).swapaxes(1, 2)
         least = self.widest.pdf(x) / self.widest.sf(x)
         # subnormal numbers would take most of the time
@@ -283,7 +279,7 @@ class AgedLaws:
         return np.asarray(aged)
 
 
-def _pooled_rate_of(law: Gamma, barrier: Barrier) -> Callable[[Array], Array]:
+def _pooled_rate_of(law: ThresholdLaw, barrier: Barrier) -> Callable[[Array], Array]:
     """Pooled rate h of a law (temper11, temper12) as a spline in logarithms."""
     if not barrier.thermal:
         return np.zeros_like
@@ -312,7 +308,7 @@ def march_closure(pool: AgedLaws, h: float, cells: int) -> Array:
     x = h * np.arange(min(cells, math.ceil(pool.top / h)) + 1)
     table, edges = pool.tables(x), h * np.arange(cells + 1)
     fresh, aged = pool.shares(edges), pool.aged(h, cells)
-    scales = np.array([law.mean for law in pool.laws])
+    scales = np.array([law.mean for law in pool.mixture.laws])
     young = table.laws @ aged[0]
 
     force, births, threshold = np.zeros(cells + 1), np.zeros(cells), np.zeros(cells + 1)

@@ -7,7 +7,6 @@ their closed forms for n = 1, soft barriers and uniform stiffness.
 """
 
 import functools
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,16 +15,15 @@ import numpy as np
 from eqsim.errors import InputError
 from eqsim.estimate import known
 from eqsim.master.annealed import pooled_polynomials, successful_attempts
-from eqsim.master.quenched import kappa_of, survival
 from eqsim.master.steady import reference
-from eqsim.master.survivors import survivor_moments
+from eqsim.master.survivors import hazard_passed, survivor_moments
 from eqsim.model.drive import Drive, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, reduced
 from eqsim.numerics.tables import Array
 
-_STRETCHES_AT_ONCE = 2048  # stretches, to bound the memory of a call
-_LEAST_STRETCH = 1e-100  # stretch; at 0 barriers are divided by
+# At stretch 0 barriers are divided by it.
+_LEAST_STRETCH = 1e-100
 
 
 @dataclass(frozen=True)
@@ -77,24 +75,21 @@ class StationaryState:
         """Q(x), density of the stretches of pinned contacts, 1/length: P(x_b > x)/C,
         which is E_P/C for annealed contacts (Q11a) and E[S(x|xi); xi > x]/C for
         quenched ones (derived)."""
-        s, u = self._reduced, self._lengths("x", x)
-        if s.annealed and not s.law.steps.size:
-            return self.E_P(x) / self.C
-        ascending, back = np.unique(np.maximum(u, _LEAST_STRETCH), return_inverse=True)
-        alive = _in_parts(lambda x: survivor_moments(s, x)[0, 0], ascending)[back]
+        u = np.maximum(self._lengths("x", x), _LEAST_STRETCH)
+        alive = survivor_moments(self._reduced, u.ravel())[0, 0]
         return np.asarray(alive.reshape(u.shape) / self.C)
 
     def joint_density(self, x: Any, xi: Any) -> Array:
         """Density of pinned contacts in stretch x and own threshold xi > 0, 1/length^2:
         P_c(xi) S(x|xi)/C on x < xi and 0 beyond (derived), where annealed contacts have
         S = exp(-dU(x)). x and xi are broadcast."""
-        s, u, threshold = self._smooth(), self._lengths("x", x), self._lengths("xi", xi)
+        s, threshold = self._smooth(), self._lengths("xi", xi)
         if not np.all(threshold > 0):
             raise InputError("xi: every threshold must be > 0")
-        if s.annealed:
-            survive = np.where(u < threshold, np.exp(-self.dU(x)), 0.0)
-        else:
-            survive = survival(s.barrier, u, threshold, kappa_of(s, threshold))
+        u, threshold = np.broadcast_arrays(self._lengths("x", x), threshold)
+        travel = np.maximum(u.ravel(), _LEAST_STRETCH)
+        passed = hazard_passed(s, 0.0 * travel, travel, threshold.ravel())
+        survive = np.where(u < threshold, np.exp(-passed).reshape(u.shape), 0.0)
         return np.asarray(s.law.pdf(threshold * s.law.scale) * survive / self.C)
 
     def P(self, x: Any) -> Array:
@@ -121,7 +116,7 @@ class StationaryState:
         s, u = self._published(), np.maximum(self._lengths("x", x), _LEAST_STRETCH)
         if not s.barrier.thermal:
             return np.zeros_like(u)
-        found = _in_parts(lambda y: successful_attempts(s, y), u)
+        found = successful_attempts(s, u.ravel())
         return np.asarray(found.reshape(u.shape) / s.law.scale)
 
     def dU(self, x: Any) -> Array:
@@ -158,12 +153,3 @@ class StationaryState:
                 "contacts (or kT = 0)"
             )
         return self._smooth()
-
-
-def _in_parts(function: Callable[[Array], Array], x: Array) -> Array:
-    return np.concatenate(
-        [
-            function(part)
-            for part in np.array_split(x.ravel(), x.size // _STRETCHES_AT_ONCE + 1)
-        ]
-    )

@@ -32,16 +32,13 @@ import numpy as np
 from scipy import special
 
 from eqsim.master.quenched import (
-    LifeMoments,
     beyond,
-    different_steps,
     ends,
     kappa_of,
     over_births,
 )
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
-from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
 # The first panels of a path, in phi. Nodes hold both ends of a panel, where the rate is
@@ -144,19 +141,10 @@ def _integrals(
 
 
 def path_moments(contacts: Reduced, xi0: Array) -> tuple[Array, Array]:
-    """Moments of lives along paths. Panels are split until the highest coefficients of
-    the hazard, times the life that is left, and of the integrands are negligible.
-
-    Parameters
-    ----------
-    xi0 : ndarray, shape (n,)
-        Thresholds at birth.
-
-    Returns
-    -------
-    moments, errors : ndarray, shape (2, n)
-        int S dx and int kappa x S dx, and bounds of their errors.
-    """
+    """int S dx and int kappa x S dx along paths from thresholds xi0 (n,) at birth, and
+    bounds of their errors, each of shape (2, n). Panels are split until the highest
+    coefficients of the hazard, times the life that is left, and of the integrands are
+    negligible."""
     n, end = xi0.size, ends(contacts, xi0)
 
     def evaluate(left: Array, right: Array, path: Array) -> Array:
@@ -190,22 +178,19 @@ def path_moments(contacts: Reduced, xi0: Array) -> tuple[Array, Array]:
     return moments, missed
 
 
-def moments_along_paths(contacts: Reduced) -> LifeMoments:
-    """Moments of the lives of quenched contacts that age in a known way (derived); the
-    errors are what is left unresolved along paths and across births."""
-    if contacts.law.steps.size:
-        xi0, share, _ = different_steps(contacts)
-        total, error = (part @ share for part in path_moments(contacts, xi0))
-    else:
-        total, error = over_births(
-            contacts.law,
-            lambda xi0: path_moments(contacts, xi0),
-            _CONVERGED_BIRTHS,
-            _NARROWEST_PATHS,
-        )
-        rarest = beyond(contacts)
-        total, error = total + rarest, error + rarest
-    return LifeMoments(*total.tolist(), *(error + _ROUNDED_PATHS * total).tolist())
+def moments_along_paths(contacts: Reduced) -> Array:
+    """C, work and their errors, shape (4,), of quenched contacts that age in a known
+    way (derived); the errors are what is left unresolved along paths and across
+    births."""
+    (total, error), _ = over_births(
+        contacts,
+        lambda _, xi0: path_moments(contacts, xi0),
+        _CONVERGED_BIRTHS,
+        _NARROWEST_PATHS,
+    )
+    rarest = beyond(contacts)
+    total, error = total + rarest, error + rarest
+    return np.append(total, error + _ROUNDED_PATHS * total)
 
 
 def hazard_along(contacts: Reduced, x: Array, xi0: Array) -> Array:
@@ -229,12 +214,3 @@ def hazard_along(contacts: Reduced, x: Array, xi0: Array) -> Array:
             per_u = rate_along(contacts, y, xi0.ravel()[part, None]) * y
             found[part] = per_u @ (_STEP_IN_U * special.expit(-u))
     return found.reshape(x.shape)
-
-
-def hazard_on(contacts: Reduced, x: Array, xi0: float, edges: Array) -> Array:
-    """`hazard_along` of one birth at many stretches x, shape (n,), by Gauss-Legendre
-    nodes between these and the `edges` of panels that resolve its rate."""
-    points = np.union1d(edges[edges < x.max(initial=0.0)], x)
-    y, weights = gauss_legendre(8).between(np.append(0.0, points[:-1]), points)
-    spent = (rate_along(contacts, y, np.asarray(xi0)) * weights).sum(axis=1).cumsum()
-    return np.asarray(spent[np.searchsorted(points, x)])

@@ -39,7 +39,6 @@ from eqsim.laws.aging.base import scale2
 from eqsim.laws.barrier import Barrier
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import Gamma
-from eqsim.master.quenched import LifeMoments
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.quadrature import extrapolated, largest_nearby
 from eqsim.numerics.tables import Array
@@ -85,18 +84,11 @@ _MOST_IN_MARCH = 20_000
 
 
 class Survival(NamedTuple):
-    """A life in the mean, lengths in units of x_*i.
-
-    Attributes
-    ----------
-    x : ndarray, shape (points,)
-        Ascending stretches from 0 to where nothing that matters survives.
-    values, errors : ndarray, shape (3, points)
-        S(x) = P(x_b > x), E[kappa; x_b > x] and E[kappa^2; x_b > x], kappa that of the
-        current threshold, and absolute errors.
-    stretch, work, stretch_error, work_error : float
-        int S dx, int x E[kappa; x_b > x] dx, and absolute errors of both.
-    """
+    """A life in the mean, lengths in units of x_*i: ascending stretches `x` (points,)
+    from 0 to where nothing that matters survives; `values` there, S(x) = P(x_b > x),
+    E[kappa; x_b > x] and E[kappa^2; x_b > x], kappa that of the current threshold, and
+    their absolute `errors`, shape (3, points); and int S dx, int x E[kappa; x_b > x]
+    dx, and absolute errors of both."""
 
     x: Array
     values: Array
@@ -107,10 +99,9 @@ class Survival(NamedTuple):
     work_error: float
 
 
-def fluctuating_moments(contacts: Reduced) -> LifeMoments:
-    """Moments of the lives of quenched contacts whose thresholds fluctuate."""
-    found = survival_of_fluctuating(contacts)
-    return LifeMoments(found.stretch, found.work, found.stretch_error, found.work_error)
+def fluctuating_moments(contacts: Reduced) -> Array:
+    """C, work and their errors, shape (4,), of contacts whose thresholds fluctuate."""
+    return np.array(survival_of_fluctuating(contacts)[3:])
 
 
 def fluctuating_survivors(contacts: Reduced, x: Array) -> Array:

@@ -22,6 +22,7 @@ h, for x > 0 only as to the first term (Q11a), and one sweep in x for the whole
 ensemble; their stiffness is that of the survivors.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -39,11 +40,14 @@ from eqsim.laws.newborn import (
 from eqsim.laws.threshold import rank_above
 from eqsim.master.annealed import pooled_polynomials, successful_attempts
 from eqsim.master.quenched import (
-    LifeMoments,
+    BIRTHS,
+    CONVERGED,
     beyond,
     different_steps,
     kappa_of,
+    over_births,
     stiffness_of_survivors,
+    terms_of_births,
 )
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, clenshaw_curtis, refined
@@ -64,19 +68,12 @@ _ORDER_COARSE = 12
 # By how much levels are shifted with the coarser rule.
 _LEVEL_SHIFT = 0.3
 
-# The first panels of thresholds, in ln(-ln J_c/J_c(bound)).
-_FIRST_RANKS = np.array([-35.0, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75,
-                         3.75, 5.0, 6.2])  # fmt: skip
 # -ln J_c beyond that of births.
 _RARER_THAN_BIRTHS = np.array([0.0, 0.3, 1.0, 3.0, 8.0, 20.0, 45.0])
 # -ln J_c where the chance that a threshold is above a birth has fallen.
 _FALLEN = np.array([1.0, 3.0, 7.0, 14.0, 28.0, 60.0, 120.0, 250.0])
-# The relative error that ends refinement, over thresholds and over stretches.
-_RESOLVED_SWEEP = 2e-12
 # The narrowest panel of thresholds.
 _NARROWEST_RANKS = 1e-5
-# Panels of thresholds at most.
-_MOST_RANKS = 400
 # -ln J_c of the strongest contact that is asked for.
 _STRONGEST = 510.0
 # Thresholds that are solved for at once, to bound memory.
@@ -130,18 +127,17 @@ def _density(births: BirthLaw, y: Array, middle: Array) -> Array:
     return np.where(inside, births.pdf(np.clip(y, low, high)), 0.0)
 
 
-def stretched_moments(contacts: Reduced) -> LifeMoments:
-    """Moments of the lives of contacts born stretched. Raises InputError for annealed
-    contacts of more than 1000 different thresholds."""
+def stretched_moments(contacts: Reduced) -> Array:
+    """Row of `LifeMoments`, shape (7,), of contacts born stretched."""
     solve = _swept if contacts.one_sided else _moments_over_thresholds
     mean, error = solve(contacts)
     of_threshold, law = contacts.newborn.of == "threshold", contacts.law
     birth = law_of_births(contacts).mean
     birth *= law.mean / law.scale if of_threshold else 1.0
-    square = math.nan, 0.0
-    if error[2] < mean[2]:  # of broad laws nothing may be known
-        square = mean[2], error[2]
-    return LifeMoments(mean[0], mean[1], error[0], error[1], birth, *square)
+    square = mean[2], error[2]
+    if not error[2] < mean[2]:  # of broad laws nothing may be known
+        square = math.nan, 0.0
+    return np.array([*mean[:2], *error[:2], birth, *square])
 
 
 def _scales(mean: Array) -> Array:
@@ -158,18 +154,9 @@ def _coarse_error(mean: Array, coarse: Array) -> Array:
 
 def _collocated(rate: Array, sources: Array, order: int) -> Array:
     """Solutions of f' = sources - rate f on panels, primes per unit of a panel's own
-    variable from -1 to 1.
-
-    Parameters
-    ----------
-    rate : ndarray, shape (panels, nodes)
-    sources : ndarray, shape (panels, nodes, 3)
-
-    Returns
-    -------
-    ndarray, shape (panels, nodes, 4)
-        Those that begin at 0, and the one that begins at 1 without sources.
-    """
+    variable from -1 to 1: those that begin at 0, and the one that begins at 1 without
+    sources, shape (panels, nodes, 4). `rate` has the shape (panels, nodes), `sources`
+    (panels, nodes, 3)."""
     cumulative = clenshaw_curtis(order).cumulative.T
     matrix = np.eye(order + 1) + cumulative * rate[:, None, :]
     starts = np.ones((*rate.shape, 1))
@@ -182,19 +169,10 @@ def _collocated(rate: Array, sources: Array, order: int) -> Array:
 
 
 class Hazard(NamedTuple):
-    """Hazard of a contact of threshold xi before it reaches the threshold.
-
-    Attributes
-    ----------
-    rate : callable
-        From gap = xi - |x|, total = xi + |x|, xi and kappa, arrays that broadcast, to
-        the hazard per unit displacement.
-    levels : callable
-        From xi, kappa, shape (n,), and a shift of levels to |x| where panels end, shape
-        (n, any).
-    layer : callable
-        From xi, shape (n,), to gaps where they end, shape (n, any).
-    """
+    """Hazard of a contact of threshold xi before it reaches the threshold: its `rate`
+    per unit displacement, from gap = xi - |x|, total = xi + |x|, xi and kappa, arrays
+    that broadcast; `levels`, |x| where panels end, (n, any), from xi, kappa (n,) and a
+    shift of levels; and the `layer` of gaps where they end, (n, any), from xi."""
 
     rate: Callable[[Array, Array, Array, Array], Array]
     levels: Callable[[Array, Array, float], Array]
@@ -278,21 +256,10 @@ def _turned(x: Array, xi: Array) -> Array:
 def _mean_lives(
     contacts: Reduced, hazard: Hazard, xi: Array, gap: Array, *, fine: bool = True
 ) -> Array:
-    """Travel, work and square of contacts of thresholds xi, shape (n,), averaged over
-    births that know them.
-
-    Parameters
-    ----------
-    gap : ndarray, shape (n,)
-        xi - |y| of identical births; of others it does not count, and means are over
-        R(y)/J_c(|y|) for given births.
-    fine : bool
-        Whether not to use the coarser rule, on other panels.
-
-    Returns
-    -------
-    ndarray, shape (3, n)
-    """
+    """Travel, work and square of contacts of thresholds xi (n,), averaged over births
+    that know them, shape (3, n), by the finer rule, or the coarser on other panels.
+    `gap` (n,) is xi - |y| of identical births; of others it does not count, and means
+    are over R(y)/J_c(|y|) for given births."""
     births, of_threshold = law_of_births(contacts), contacts.newborn.of == "threshold"
     per = xi[:, None]
     level = hazard.levels(xi, kappa_of(contacts, xi), 0.0 if fine else _LEVEL_SHIFT)
@@ -394,38 +361,32 @@ def _moments_over_thresholds(contacts: Reduced) -> tuple[Array, Array]:
 
     origin = rank_above(law, bound)
 
-    def terms(left: Array, right: Array, fine: bool) -> Array:
-        half = 0.5 * (right - left)[:, None]
-        e = np.exp(left[:, None] + half * (1.0 + ClenshawCurtis.nodes))
-        xi = np.asarray(law.inverse_survival(origin + e.ravel())) / law.scale
+    def lives(e: Array, xi: Array, fine: bool = True) -> tuple[Array, float]:
         gap = gap_of(xi)
         if bound > 0.0:
-            gap = _gaps(contacts, bound, gap, e.ravel())
+            gap = _gaps(contacts, bound, gap, e)
             xi = bound + gap
-        good = (xi > 0) & (gap > 0)
-        found = np.zeros((3, xi.size))
+        good, found = (xi > 0) & (gap > 0), np.zeros((3, xi.size))
         found[:, good] = _mean_lives(contacts, hazard, xi[good], gap[good], fine=fine)
-        return found.reshape(3, *e.shape) * (half * e * np.exp(-e))
+        return found, 0.0
 
-    def evaluate(left: Array, right: Array, _: Array) -> Array:
-        fine = terms(left, right, True)
-        missed = np.abs(fine @ ClenshawCurtis.tail).sum(axis=2)
-        return np.array([fine @ ClenshawCurtis.weights, missed])
-
-    def judge(panels: Panels) -> tuple[Array, Array]:
-        mean = panels.values[0].sum(axis=1)
-        most = _RESOLVED_SWEEP * _scales(mean)[:, None]
-        rough = (panels.values[1] > most).any(axis=0)
-        return rough & (panels.right - panels.left > _NARROWEST_RANKS), mean
-
-    first = _first_ranks(contacts, births, origin)
-    p, mean = refined(evaluate, judge, first, most=_MOST_RANKS)
-    coarse = (terms(p.left, p.right, False) @ ClenshawCurtis.weights).sum(axis=1)
-    error = p.values[1].sum(axis=1) + _coarse_error(mean, coarse)
+    (mean, missed), p = over_births(
+        contacts,
+        lives,
+        CONVERGED,
+        _NARROWEST_RANKS,
+        origin=origin,
+        edges=_first_ranks(contacts, births, origin),
+        scales=_scales,
+    )
+    coarser = functools.partial(lives, fine=False)
+    terms, _ = terms_of_births(law, coarser, p.left, p.right, origin)
+    coarse = (terms @ ClenshawCurtis.weights).sum(axis=1)
+    error = missed + _coarse_error(mean, coarse)
     error[:2] += beyond(contacts) * math.exp(min(origin, 460.0))
-    rest, missed = _squares_beyond(contacts, hazard, origin, gap_of)
+    rest, unsure = _squares_beyond(contacts, hazard, origin, gap_of)
     mean[2] += rest
-    error[2] += missed
+    error[2] += unsure
     return mean, error
 
 
@@ -434,7 +395,7 @@ def _squares_beyond(
 ) -> tuple[float, float]:
     """Contribution of lives to the mean square beyond the last panel, and a bound on
     its error: as they fall with e before it. Nothing where there is no such mean."""
-    law, last = contacts.law, min(math.exp(_FIRST_RANKS[-1]), _STRONGEST - origin)
+    law, last = contacts.law, min(math.exp(BIRTHS[-1]), _STRONGEST - origin)
     if law.support[1] < math.inf:
         return 0.0, 0.0
     e = last - np.array([50.0, 25.0, 0.0])
@@ -471,7 +432,7 @@ def _gaps(contacts: Reduced, bound: float, gap: Array, e: Array) -> Array:
 
 def _first_ranks(contacts: Reduced, births: BirthLaw, origin: float) -> Array:
     """Ends of the first panels in ln(-ln J_c/J_c(bound))."""
-    law, barrier, low = contacts.law, contacts.barrier, _FIRST_RANKS[0]
+    law, barrier, low = contacts.law, contacts.barrier, BIRTHS[0]
     low -= max(barrier.log_w, 0.0) if barrier.thermal else 0.0
     inner = [rank_above(law, float(x)) for x in law.breakpoints / law.scale]
     if not isinstance(births, DeltaBirths) and contacts.newborn.of == "length":
@@ -481,9 +442,9 @@ def _first_ranks(contacts: Reduced, births: BirthLaw, origin: float) -> Array:
             inner += (born + _RARER_THAN_BIRTHS).tolist()
     at = np.array(inner) - origin
     more = np.log(at[np.isfinite(at) & (at > 0)])
-    short = np.arange(low, _FIRST_RANKS[0], 12.0)
-    edges = np.unique(np.concatenate((_FIRST_RANKS, short, more)))
-    top = min(_FIRST_RANKS[-1], math.log(_STRONGEST - origin))
+    short = np.arange(low, BIRTHS[0], 12.0)
+    edges = np.unique(np.concatenate((BIRTHS, short, more)))
+    top = min(BIRTHS[-1], math.log(_STRONGEST - origin))
     edges = np.append(edges[(edges >= low) & (edges < top - 1e-3)], top)
     return edges[np.append(True, np.diff(edges) > 1e-9)]
 
@@ -498,13 +459,7 @@ class _Sweep:
 
     def __init__(self, contacts: Reduced) -> None:
         self.contacts, self.births = contacts, law_of_births(contacts)
-        steps = contacts.law.steps / contacts.law.scale
-        # shares of thresholds above each step, with powers of kappa
-        self.steps, self.tails = steps, np.empty((3, 0))
-        if steps.size:
-            self.steps, share, kappa = different_steps(contacts)
-            parts = share * kappa ** np.arange(3)[:, None]
-            self.tails = parts[:, ::-1].cumsum(axis=1)[:, ::-1]
+        self.steps = contacts.law.steps / contacts.law.scale
 
     def evaluate(self, left: Array, right: Array, _: Array) -> Array:
         """Solutions of panels, the last axis."""
@@ -518,24 +473,21 @@ class _Sweep:
         half = 0.5 * (right - left)[:, None]
         x = right[:, None] - half * (1.0 + clenshaw_curtis(order).nodes)
         size, up = np.abs(x).ravel(), np.broadcast_to(left[:, None] >= 0.0, x.shape)
-        middle = 0.5 * (left + right)
-        rate, mean, square = np.zeros_like(x), np.ones_like(x), np.ones_like(x)
+        # stiffness and attempts on a discrete law jump between panels only
+        middle, rate = np.repeat(0.5 * (left + right), order + 1), np.zeros_like(x)
         if contacts.barrier.thermal:
-            above = np.repeat(np.abs(middle), order + 1)
+            above = np.abs(middle)
             attempts = successful_attempts(contacts, size, above=above, finer=finer)
             rate += attempts.reshape(x.shape)
+        ahead = np.where(up.ravel(), middle if law.steps.size else x.ravel(), 0.0)
+        stiff = stiffness_of_survivors(contacts, ahead)
+        mean, square = (part.reshape(x.shape) for part in stiff)
         if not law.steps.size:
             at = size * law.scale
             with np.errstate(divide="ignore", invalid="ignore"):
                 broken = law.pdf(at) * law.scale / law.sf(at)
             broken[~np.isfinite(broken)] = 0.0
             rate += np.where(up, broken.reshape(x.shape), 0.0)
-            stiff = stiffness_of_survivors(contacts, np.where(up, x, 0.0).ravel())
-            mean, square = (part.reshape(x.shape) for part in stiff)
-        elif contacts.stiffness == "sqrt":
-            above = np.searchsorted(self.steps, np.maximum(middle, 0.0), side="right")
-            tails = self.tails[:, np.minimum(above, self.steps.size - 1), None]
-            mean, square = (part + 0.0 * x for part in tails[1:] / tails[0])
         sources = np.stack((np.ones_like(x), mean * x, square * x**2), axis=2)
         return _collocated(half * rate, half[..., None] * sources, order)
 
@@ -552,7 +504,7 @@ class _Sweep:
     def passing(self, x: float) -> float:
         """The factor by which moments of the rest of life fall just below a stretch x,
         where contacts of a discrete law may break."""
-        steps = self.contacts.law.steps / self.contacts.law.scale
+        steps = self.steps
         if x <= 0.0 or not steps.size:
             return 1.0
         left, right = np.searchsorted(steps, x * np.array([1.0 - 1e-13, 1.0 + 1e-13]))
@@ -581,8 +533,8 @@ class _Sweep:
         most = L[:, None] * np.array([np.ones_like(size), far, far**2]).T
         missed = np.abs(ClenshawCurtis.tail.T @ integrand).sum(axis=1)
         most = np.maximum(most, _scales(mean))  # what is missed fades downwards
-        rough = (tail > _RESOLVED_SWEEP * most).any(axis=1)
-        rough |= (missed > _RESOLVED_SWEEP * _scales(mean)).any(axis=1)
+        rough = (tail > CONVERGED * most).any(axis=1)
+        rough |= (missed > CONVERGED * _scales(mean)).any(axis=1)
         wide = panels.right - panels.left > _SHORTEST_PANEL * size
         return rough & wide, (mean, missed.sum(axis=0))
 

@@ -1,33 +1,36 @@
-"""A life in the mean: how many contacts survive to a stretch, how stiff these are, and
-integrals over both."""
+"""A life in the mean: its moments by the solver of the contacts, how many survive to a
+stretch, how stiff these are, and integrals over both."""
 
 import math
-from typing import NamedTuple, Protocol
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from eqsim.laws.aging import Langevin
+from eqsim.laws.aging import Langevin, Unaged
 from eqsim.laws.newborn import DeltaBirths
 from eqsim.laws.no_thresholds import has_jumps
-from eqsim.master.fokker_planck import survival_of_fluctuating
-from eqsim.master.newborn import law_of_births
-from eqsim.master.quenched import ends, panels_between_steps, rarest_that_counts
-from eqsim.master.solvers import moments_of
+from eqsim.master.annealed import annealed_moments
+from eqsim.master.flow import moments_along_paths
+from eqsim.master.fokker_planck import fluctuating_moments, survival_of_fluctuating
+from eqsim.master.newborn import law_of_births, stretched_moments
+from eqsim.master.quenched import (
+    LifeMoments,
+    ends,
+    quenched_moments,
+    rarest_that_counts,
+)
 from eqsim.master.survivors import kinks_of_survival, longest_travel, survivor_moments
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
-from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
-# Relative error of the panels that Gauss-Legendre nodes integrate between the jumps of
-# a discrete law.
-_BETWEEN_JUMPS = 1e-6
-# Relative error of sums of powers of a discrete law's thresholds.
-_ROUNDED_SUMS = 1e-12
 # Coefficients of the highest two Chebyshev polynomials, over the largest value, at
 # which panels are not split further.
 _SMOOTH = 1e-8
+# The same of a discrete law, where only powers of stretches change between jumps.
+_EVEN = 1e-12
 # The same for thresholds that fluctuate: splines between the steps that the
 # Fokker-Planck equation takes are no better.
 _COARSE_SPLINE = 3e-6
@@ -38,98 +41,26 @@ _WORST = 2.0
 # ever narrower ones, count for less than the narrowest.
 _LONGEST_PANEL = 2.0
 _NARROWEST_IN_LN_X = 1e-9
-# Panels beyond which none is split any more, where a solver's noise keeps coefficients
-# from falling.
+# Panels beyond those between kinks after which none is split any more, where a solver's
+# noise keeps coefficients from falling.
 _MOST_LIFE_PANELS = 600
 # Nodes of a panel lie within it, not across a jump.
-_WITHIN = 1.0 - 1e-9
+_WITHIN = 1.0 - 1e-7
 
 
-class Profile(Protocol):
-    """A life in the mean, lengths in units of the law's scale.
-
-    Attributes
-    ----------
-    x, survive : ndarray, shape (n,)
-        Ascending travels that resolve S, and S there.
-    error : float
-        Relative, of what follows.
-    jumps : bool
-        Whether S has jumps, as thresholds are discrete.
-    """
-
-    x: Array
-    survive: Array
-    error: float
-    jumps: bool
-
-    def at(self, x: Array, power: int = 0) -> Array:
-        """E[z^power kappa^j; l > x] at travels x > 0 from birth, z the stretch there (x
-        of contacts born unstretched), power and j = 0, 1, 2, shape (3, n): with power 0
-        S, k1 and k2, with power 1 and j = 1 the mean force m."""
-
-    def integral(self, x: Array, power: int) -> Array:
-        """The integral of that from 0 to x, shape (3, n)."""
-
-
-def profile_of(contacts: Reduced, x: Array | None = None) -> Profile:
-    """The profile of contacts.
-
-    Parameters
-    ----------
-    contacts : Reduced
-    x : ndarray, optional
-        Every stretch at which integrals will be asked for; only discrete laws, with
-        their jumps, need to know.
-
-    Raises
-    ------
-    InputError
-        Where a solver refuses the contacts.
-    """
-    stepped = has_jumps(contacts.law) and not contacts.newborn.active
-    known = np.empty(0) if x is None else x
-    profile: Profile = _Steps(contacts, known) if stepped else SmoothLife(contacts)
-    # moments by another quadrature: what this one misses is part of the error
-    (exact,) = moments_of([contacts])
-    stretch, work, square = (
-        float(profile.integral(np.array([1e90]), power)[power, 0]) for power in range(3)
-    )
-    misses = [(abs(stretch - exact.stretch) + exact.stretch_error) / exact.stretch]
-    size = abs(exact.work)
-    if not math.isnan(exact.square):
-        size = max(size, 1e-3 * math.sqrt(exact.stretch * exact.square))
-        misses.append((abs(square - exact.square) + exact.square_error) / exact.square)
-    misses.append((abs(work - exact.work) + exact.work_error) / size)
-    # at some travels it may miss more than in the mean over them
-    profile.error = max(profile.error, _WORST * max(misses))
-    return profile
-
-
-class _Steps:
-    """A life of a discrete law: Gauss-Legendre panels between jumps."""
-
-    jumps = True
-
-    def __init__(self, contacts: Reduced, x: Array) -> None:
-        # without heat and aging nothing changes between jumps
-        exact = contacts.aging.closed and not contacts.barrier.thermal
-        self.error = _ROUNDED_SUMS if exact else _BETWEEN_JUMPS
-        self._reduced = contacts
-        self.x = np.unique(np.append(panels_between_steps(contacts), x[x > 0]))
-        edge = np.append(0.0, self.x)
-        inner, weights = gauss_legendre(6).between(edge[:-1], edge[1:])
-        values = survivor_moments(contacts, inner.ravel()).reshape(3, 3, *inner.shape)
-        self._sums = (values * weights).sum(axis=3).cumsum(axis=2)
-        self.survive = self.at(self.x)[0]
-
-    def at(self, x: Array, power: int = 0) -> Array:
-        return survivor_moments(self._reduced, x)[power]
-
-    def integral(self, x: Array, power: int) -> Array:
-        index = np.searchsorted(self.x, np.minimum(x, self.x[-1]))
-        sums = self._sums[power][:, np.minimum(index, self.x.size - 1)]
-        return np.where(x > 0, sums, 0.0)
+def moments_of(every: Sequence[Reduced], *, square: bool = False) -> LifeMoments:
+    """Moments of lives at each of `every`, which differ in velocity only; with the mean
+    square of force where lives are known in closed form. Raises InputError."""
+    contacts, solve = every[0], moments_along_paths
+    if contacts.newborn.active:
+        solve = stretched_moments
+    elif contacts.annealed:
+        return annealed_moments(every)
+    elif isinstance(contacts.aging, Unaged):
+        return quenched_moments(every, square=square)
+    elif isinstance(contacts.aging, Langevin):
+        solve = fluctuating_moments
+    return LifeMoments(*np.transpose([solve(s) for s in every]))
 
 
 def _first_edges(contacts: Reduced) -> Array:
@@ -140,8 +71,8 @@ def _first_edges(contacts: Reduced) -> Array:
         top, kinks = longest_travel(contacts), kinks_of_survival(contacts)
     else:
         rarest = float(law.inverse_survival(rarest_that_counts(barrier))) / law.scale
-        top = contacts.aging.bracket(rarest)[1]
         kinks = ends(contacts, law.kinks / law.scale)
+        top = kinks[-1] if has_jumps(law) else contacts.aging.bracket(rarest)[1]
     last, inner = math.log(top), np.log(kinks)
     attempts = barrier.log_w if barrier.thermal else 0.0
     first = -max(math.log(1e15), attempts + math.log(1e7))
@@ -159,19 +90,30 @@ class Slope(NamedTuple):
     width: Array
 
 
-class SmoothLife:
-    """The life of contacts whose survival is smooth between kinks: Chebyshev
-    polynomials in ln x on panels that end at the kinks, and are split until they
-    resolve it."""
+class Profile:
+    """A life in the mean, lengths in units of the law's scale: Chebyshev polynomials in
+    ln x on panels that end at kinks and jumps of survival, and are split until they
+    resolve it. Raises InputError where a solver refuses the contacts.
+
+    Attributes
+    ----------
+    x, survive : ndarray, shape (n,)
+        Ascending travels that resolve S, and S there.
+    error : float
+        Relative, of what the methods return.
+    jumps : bool
+        Whether S has jumps, as thresholds are discrete.
+    """
 
     def __init__(self, contacts: Reduced) -> None:
-        self.jumps = (
-            contacts.newborn.active
-            and has_jumps(contacts.law)
-            and isinstance(law_of_births(contacts), DeltaBirths)
+        self.jumps = has_jumps(contacts.law) and (
+            not contacts.newborn.active
+            or isinstance(law_of_births(contacts), DeltaBirths)
         )
         fluctuating = isinstance(contacts.aging, Langevin)
         smooth = _COARSE_SPLINE if fluctuating else _SMOOTH
+        if self.jumps and contacts.aging.closed and not contacts.barrier.thermal:
+            smooth = _EVEN
         nodes, tail = ClenshawCurtis.nodes[:, None] * _WITHIN, ClenshawCurtis.tail.T
 
         def evaluate(left: Array, right: Array, _: Array) -> Array:
@@ -185,18 +127,24 @@ class SmoothLife:
             wide = panels.right - panels.left > _NARROWEST_IN_LN_X
             return (rough > smooth * most).any(axis=0) & wide, None
 
-        p, _ = refined(evaluate, judge, _first_edges(contacts), most=_MOST_LIFE_PANELS)
+        edges = _first_edges(contacts)
+        most = edges.size + _MOST_LIFE_PANELS
+        p, _ = refined(evaluate, judge, edges, most=most)
         self._edges = np.append(p.left, p.right[-1])
         self._half = 0.5 * (p.right - p.left)
         coefficients = np.tensordot(ClenshawCurtis.coefficients, p.values, (1, 1))
         self._values, moments = np.split(coefficients, 2, axis=1)
-        self._integrals = chebyshev.chebint(moments, lbnd=-1, axis=0) * self._half
-        sums = self._integrals.sum(axis=0).cumsum(axis=1)
+        integrals = chebyshev.chebint(moments, lbnd=-1.0 / _WITHIN, axis=0)
+        self._integrals = integrals * (self._half * _WITHIN)
+        sums = chebyshev.chebval(1.0 / _WITHIN, self._integrals).cumsum(axis=1)
         self._sums = np.concatenate((np.zeros((9, 1)), sums), axis=1)
         self._first, self._last = math.exp(p.left[0]), math.exp(p.right[-1])
         self._start = p.values[:9, 0, 0]
         self.x = np.exp((0.5 * (p.left + p.right) + self._half * nodes).T.ravel())
-        self.survive = np.minimum.accumulate(np.clip(p.values[0].T.ravel(), 0.0, 1.0))
+        survive = np.clip(p.values[0].T.ravel(), 0.0, 1.0)
+        if self.jumps:  # none is left at the end of the last panel
+            self.x, survive = np.append(self.x, self._last), np.append(survive, 0.0)
+        self.survive = np.minimum.accumulate(survive)
         missed = np.abs(np.tensordot(tail, p.values[9:], (1, 1))).sum(axis=0)
         total = np.abs(self._sums[:, -1])
         least = np.maximum(total, 1e-3 * total[0])
@@ -206,6 +154,18 @@ class SmoothLife:
         if fluctuating:
             errors = survival_of_fluctuating(contacts).errors
             self.error += float(errors[0].max())
+        # moments by another quadrature: what this one misses is part of the error
+        exact, beyond_all = moments_of([contacts]), np.array([1e90])
+        ours = [self.integral(beyond_all, power)[power] for power in range(3)]
+        # work may vanish though its parts do not; the square is not always known
+        work = np.fmax(np.abs(exact.work), 1e-3 * np.sqrt(exact.stretch * exact.square))
+        misses = [
+            (np.abs(ours[0] - exact.stretch) + exact.stretch_error) / exact.stretch,
+            (np.abs(ours[1] - exact.work) + exact.work_error) / work,
+            (np.abs(ours[2] - exact.square) + exact.square_error) / exact.square,
+        ]
+        # at some travels it may miss more than in the mean over them
+        self.error = max(self.error, _WORST * float(np.nanmax(misses)))
 
     def _evaluated(self, coefficients: Array, x: Array) -> tuple[Array, Array]:
         """Polynomials with `coefficients` (17, 3, panels) at x, shape (3, n), and the
@@ -213,7 +173,8 @@ class SmoothLife:
         log_x = np.log(np.clip(x, self._first, self._last))
         panel = np.searchsorted(self._edges, log_x, side="right") - 1
         panel = np.clip(panel, 0, self._half.size - 1)
-        t = np.clip((log_x - self._edges[panel]) / self._half[panel] - 1.0, -1.0, 1.0)
+        t = (log_x - self._edges[panel]) / self._half[panel] - 1.0
+        t = np.clip(t, -1.0, 1.0) / _WITHIN
         order = np.argsort(panel, kind="stable")
         powers = chebyshev.chebvander(t[order], coefficients.shape[0] - 1)
         last = np.searchsorted(panel[order], np.arange(self._half.size + 1))
@@ -232,16 +193,20 @@ class SmoothLife:
         found = []
         for part in (values, highest):
             coefficients = np.zeros_like(values)
-            coefficients[:-1] = chebyshev.chebder(part, axis=0) / self._half
+            coefficients[:-1] = chebyshev.chebder(part) / (self._half * _WITHIN)
             per_log_x, panel = self._evaluated(coefficients, x)
             found.append(np.where(x < self._last, per_log_x / x, 0.0))
         return Slope(found[0], np.abs(found[1]), 2.0 * self._half[panel])
 
     def at(self, x: Array, power: int = 0) -> Array:
+        """E[z^power kappa^j; l > x] at travels x > 0 from birth, z the stretch there (x
+        of contacts born unstretched), power and j = 0, 1, 2, shape (3, n): with power 0
+        S, k1 and k2, with power 1 and j = 1 the mean force m."""
         found, _ = self._evaluated(self._values[:, 3 * power : 3 * power + 3], x)
         return np.asarray(np.where(x < self._last, found, 0.0))
 
     def integral(self, x: Array, power: int) -> Array:
+        """The integral of that from 0 to x, shape (3, n)."""
         rows = slice(3 * power, 3 * power + 3)
         inside, panel = self._evaluated(self._integrals[:, rows], x)
         before = self._start[rows, None] * np.minimum(x, self._first)

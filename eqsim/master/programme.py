@@ -176,18 +176,14 @@ def law_tables(contacts: Reduced, cells: int) -> LawTables:
         index = np.searchsorted(xi, y, side="right") - before
         # in the order in which other tables are stored: kernels for another are others
         above = _totals_from(share * stiff**_STIFFNESS_POWERS).take(index, axis=1)
-        rate = np.zeros(y.size)
-        barrier, contributing = contacts.barrier, xi.size if contacts.annealed else 0
-        for i in range(contributing):
-            last = np.searchsorted(y, xi[i]) + 1
-            log_rate = barrier.log_rate(y[:last], xi[i], barrier.b * stiff[i])
-            rate[:last] += share[i] * np.exp(barrier.log_w + log_rate)
+        ahead = np.where(before, np.nextafter(y, 0.0), y)
     else:
         edge, _, above = _cells_of(contacts, cells)
         y, above = np.append(0.0, edge), np.append(above[:, :1], above, axis=1)
-        rate = np.zeros_like(y)
-        if contacts.annealed:
-            rate = successful_attempts(contacts, y)
+        ahead = y
+    rate = np.zeros_like(y)
+    if contacts.annealed:
+        rate = successful_attempts(contacts, y, above=ahead)
     total = integrate.cumulative_trapezoid(above, y, axis=1, initial=0.0)
     with np.errstate(divide="ignore"):
         return LawTables(y, above, total, np.maximum(np.log(rate), -1e4))

@@ -46,10 +46,10 @@ _INNER = gauss_legendre(14)
 _INNER_ERROR = 1e-11
 
 # The first panels of births in ln(-ln J_c(xi)), from 2^-50 to 500.
-_BIRTHS = np.array([-34.7, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75,
+BIRTHS = np.array([-34.7, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75,
                     3.75, 5.0, 6.2])  # fmt: skip
 # The relative error that ends refinement over births, at one velocity and at many.
-_CONVERGED = 2e-12
+CONVERGED = 2e-12
 _CONVERGED_CURVE = 1e-9
 # The narrowest panel of births.
 _NARROWEST_BIRTHS = 1e-4
@@ -72,20 +72,26 @@ _TOWARDS = 0.25 ** np.arange(1.0, 16.0)
 
 
 class LifeMoments(NamedTuple):
-    """C = E[x_b], work = E[int_0^{x_b} kappa x dx], and absolute errors of both.
+    """C = E[x_b], work = E[int_0^{x_b} kappa x dx], and absolute errors of both, arrays
+    (velocities,).
 
     Of contacts born stretched: the travel E[l] = E[x_b - y], work = E[int_y^{x_b} kappa
     x dx], the mean birth E[y]. Square = E[int_y^{x_b} kappa^2 x^2 dx], and its error:
     not a number where nobody asked for it, or where it is unknown.
     """
 
-    stretch: float
-    work: float
-    stretch_error: float
-    work_error: float
-    birth: float = 0.0
-    square: float = math.nan
-    square_error: float = 0.0
+    stretch: Array
+    work: Array
+    stretch_error: Array
+    work_error: Array
+    birth: Array = np.zeros(1)
+    square: Array = np.full(1, math.nan)
+    square_error: Array = np.zeros(1)
+
+
+# Moments of births, shape (moments, n), and their errors, which may be a number, from
+# -ln J_c over that of the first births, and thresholds, both (n,).
+Moments = Callable[[Array, Array], tuple[Array, Array | float]]
 
 
 def kappa_of(contacts: Reduced, xi: Array) -> Array:
@@ -111,16 +117,6 @@ def different_steps(contacts: Reduced) -> tuple[Array, Array, Array]:
     (n,)."""
     xi, counts = np.unique(contacts.law.steps / contacts.law.scale, return_counts=True)
     return xi, counts / counts.sum(), kappa_of(contacts, xi)
-
-
-def survival(barrier: Barrier, x: Array, xi: Array, kappa: Array) -> Array:
-    """S(x|xi) for x > 0, arrays that broadcast."""
-    if not barrier.thermal:
-        return np.where(x < xi, 1.0, 0.0)
-    log_lambda = (
-        barrier.log_hazard(np.minimum(x, xi), xi, barrier.b * kappa) + barrier.log_w
-    )
-    return np.where(x < xi, np.exp(-np.exp(np.minimum(log_lambda, 7.0))), 0.0)
 
 
 def life_moments(
@@ -160,11 +156,9 @@ def life_moments(
     return found
 
 
-def quenched_moments(
-    every: Sequence[Reduced], *, square: bool = False
-) -> list[LifeMoments]:
-    """Moments of the lives of quenched contacts that do not age, one for each of
-    `every`, which differ in velocity only; with the mean square of force if asked."""
+def quenched_moments(every: Sequence[Reduced], *, square: bool = False) -> LifeMoments:
+    """Moments of the lives of quenched contacts that do not age, at each of `every`,
+    which differ in velocity only; with the mean square of force if asked."""
     contacts, powers = every[0], 3 if square else 2
     law, barrier = contacts.law, contacts.barrier
     log_w = np.array([r.barrier.log_w if r.barrier.thermal else 0.0 for r in every])
@@ -176,22 +170,17 @@ def quenched_moments(
         return lives.reshape(-1, xi.size)
 
     once = log_w.size == 1 or not barrier.thermal
-    if law.steps.size:
-        xi, share, _ = different_steps(contacts)
-        total = (moments(xi) @ share).reshape(powers, -1)
-        error = _INNER_ERROR * total
-    else:
-        converged = _CONVERGED if once else _CONVERGED_CURVE
-        means = over_births(
-            law, lambda xi: (moments(xi), 0.0), converged, _NARROWEST_BIRTHS
-        )
-        total, error = (part.reshape(powers, -1) for part in means)
-        error += _INNER_ERROR * total
-        rest = beyond(contacts)[:, None]
-        total[:2] += rest
-        error[:2] += rest
+    converged = CONVERGED if once else _CONVERGED_CURVE
+    means, _ = over_births(
+        contacts, lambda _, xi: (moments(xi), 0.0), converged, _NARROWEST_BIRTHS
+    )
+    total, error = (part.reshape(powers, -1) for part in means)
+    error += _INNER_ERROR * total
+    rest = beyond(contacts)[:, None]
+    total[:2] += rest
+    error[:2] += rest
     if square and not law.steps.size:
-        last = np.asarray(law.inverse_survival(np.exp(_BIRTHS[-1:]))) / law.scale
+        last = np.asarray(law.inverse_survival(np.exp(BIRTHS[-1:]))) / law.scale
 
         def unbroken(xi: Array) -> Array:
             return np.log(kappa_of(contacts, xi) ** 2 * xi**3 / 3.0)[None]
@@ -201,64 +190,69 @@ def quenched_moments(
         shortened = 1.0 - moments(last)[-log_w.size :, 0] / np.exp(unbroken(last)[0])
         total[2] += far
         error[2] += missed + shortened * far
-    born = np.zeros((1, log_w.size))
-    rows = np.concatenate((total[:2], error[:2], born, total[2:], error[2:]))
-    return [LifeMoments(*row) for row in rows.T.tolist()]
+    birth = np.zeros((1, log_w.size))
+    rows = np.concatenate((total[:2], error[:2], birth, total[2:], error[2:]))
+    return LifeMoments(*rows)
 
 
 def over_births(
-    law: ThresholdLaw,
-    moments: Callable[[Array], tuple[Array, Array | float]],
+    contacts: Reduced,
+    moments: Moments,
     converged: float,
     narrowest: float,
-) -> tuple[Array, Array]:
-    """Means over the births of a smooth law, but for the weakest 2^-50 and the
-    strongest exp(-500).
-
-    Parameters
-    ----------
-    moments : callable
-        From thresholds, shape (n,), to moments, shape (moments, n), and their errors,
-        which may be a number.
-    converged, narrowest : float
-        The relative error and the width, in ln(-ln J_c), at which panels are not split
-        any more.
-
-    Returns
-    -------
-    mean, error : ndarray, shape (moments,)
-    """
+    *,
+    origin: float = 0.0,
+    edges: Array | None = None,
+    scales: Callable[[Array], Array] = np.asarray,
+) -> tuple[tuple[Array, Array], Panels]:
+    """Means of `moments` over births, and their errors, each of shape (moments,), and
+    panels of births. Of a smooth law births count whose -ln J_c is `origin` or more, but
+    for the weakest 2^-50 and the strongest exp(-500). Panels begin with `edges` in
+    ln(-ln J_c - origin), and are split until they are `narrowest`, or the relative
+    errors of the means, or of the `scales` of these, are `converged`."""
+    law = contacts.law
+    if law.steps.size:
+        xi, share, _ = different_steps(contacts)
+        found = np.broadcast_arrays(*moments(xi, xi))
+        return (found[0] @ share, found[1] @ share), Panels(*np.empty((4, 0)))
 
     def evaluate(left: Array, right: Array, _: Array) -> Array:
-        half = 0.5 * (right - left)[:, None]
-        e = np.exp(left[:, None] + half * (1.0 + ClenshawCurtis.nodes))
-        xi = np.asarray(law.inverse_survival(e.ravel())) / law.scale
-        found = [
-            part.reshape(-1, *e.shape) for part in np.broadcast_arrays(*moments(xi))
-        ]
-        terms = np.array(found) * (half * e * np.exp(-e))
+        terms = terms_of_births(law, moments, left, right, origin)
         unresolved = np.abs(terms[:1] @ ClenshawCurtis.tail).sum(axis=3)
         return np.concatenate((terms @ ClenshawCurtis.weights, unresolved))
 
     def judge(panels: Panels) -> tuple[Array, tuple[Array, Array]]:
         parts, errors, unresolved = panels.values
         mean = parts.sum(axis=1)
-        rough = (unresolved > converged * mean[:, None]).any(axis=0) & (
-            panels.right - panels.left > narrowest
-        )
+        rough = (unresolved > converged * scales(mean)[:, None]).any(axis=0)
+        rough &= panels.right - panels.left > narrowest
         return rough, (mean, (errors + unresolved).sum(axis=1))
 
-    with np.errstate(divide="ignore"):  # a breakpoint at an end of the support
-        kinks = np.log(-np.log(law.sf(law.kinks)))
-    edges = np.union1d(_BIRTHS, kinks[(kinks > _BIRTHS[0]) & (kinks < _BIRTHS[-1])])
-    _, found = refined(evaluate, judge, edges, most=edges.size + _MORE_PANELS)
-    return found
+    if edges is None:
+        with np.errstate(divide="ignore"):  # a breakpoint at an end of the support
+            kinks = np.log(-np.log(law.sf(law.kinks)))
+        inner = kinks[(kinks > BIRTHS[0]) & (kinks < BIRTHS[-1])]
+        edges = np.union1d(BIRTHS, inner)
+    panels, means = refined(evaluate, judge, edges, most=edges.size + _MORE_PANELS)
+    return means, panels
+
+
+def terms_of_births(
+    law: ThresholdLaw, moments: Moments, left: Array, right: Array, origin: float = 0.0
+) -> Array:
+    """Integrands of means over births, and their errors, at the nodes of panels, shape
+    (2, moments, panels, nodes)."""
+    half = 0.5 * (right - left)[:, None]
+    e = np.exp(left[:, None] + half * (1.0 + ClenshawCurtis.nodes))
+    xi = np.asarray(law.inverse_survival(origin + e.ravel())) / law.scale
+    values = np.array(np.broadcast_arrays(*moments(e.ravel(), xi)))
+    return values.reshape(2, -1, *e.shape) * (half * e * np.exp(-e))
 
 
 def beyond(contacts: Reduced) -> Array:
     """C and work of the contacts beyond the last panel, shape (2,), not negligible
     where x^3 P_c is barely integrable: at T = 0, and as of a power law (derived)."""
-    e = np.array([0.95, 1.0]) * math.exp(_BIRTHS[-1])
+    e = np.array([0.95, 1.0]) * math.exp(BIRTHS[-1])
     xi = np.asarray(contacts.law.inverse_survival(e)) / contacts.law.scale
     end = ends(contacts, xi)
     kappa = kappa_of(contacts, end if contacts.aging.stiffens else xi)
@@ -349,10 +343,17 @@ def thresholds_above(
 
 
 def stiffness_of_survivors(contacts: Reduced, x: Array) -> tuple[Array, Array]:
-    """E[kappa | xi > x] and E[kappa^2 | xi > x] of a smooth law at x > 0, (n,)."""
+    """E[kappa | xi > x] and E[kappa^2 | xi > x] at x > 0, (n,); of a discrete law those
+    of the strongest beyond all."""
     if contacts.stiffness == "uniform":
         return np.ones_like(x), np.ones_like(x)
     law = contacts.law
+    if law.steps.size:
+        xi, share, kappa = different_steps(contacts)
+        ahead = np.minimum(np.searchsorted(xi, x, side="right"), xi.size - 1)
+        parts = share * kappa ** np.arange(3)[:, None]
+        total, mean, square = parts[:, ::-1].cumsum(axis=1)[:, ::-1][:, ahead]
+        return mean / total, square / total
     if isinstance(law, Gamma):
         shape, u = law.n + 1.0, x**2
         J = special.gammaincc(shape, u)
@@ -373,22 +374,3 @@ def stiffness_of_survivors(contacts: Reduced, x: Array) -> tuple[Array, Array]:
             np.where(total > 0, part / total, last**p) for p, part in enumerate(sums, 1)
         )
     return mean, square
-
-
-def panels_between_steps(contacts: Reduced) -> Array:
-    """Ascending stretches between which what happens to contacts of a discrete law is
-    smooth: they crowd towards every stretch where contacts break from below and, down
-    to a small part of it, from above, and towards 0."""
-    xi, _, kappa = different_steps(contacts)
-    xi = ends(contacts, xi)
-    rate = 2.0 * (contacts.barrier.b if contacts.barrier.thermal else 0.0) * kappa * xi
-    edges = [xi[0] * 2.0 ** -np.arange(1.0, 340.0)]
-    for low, high, scale in zip(np.append(0.0, xi[:-1]), xi, rate, strict=True):
-        gap = high - low
-        depth = 6 + math.ceil(math.log2(max(scale * gap, 1.0)))
-        halved = 2.0 ** -(np.arange(2 * depth) / 2)
-        edges.append(high - gap * np.append(halved, 0.0))
-        if low and gap > low / 64:
-            last = math.log2(64 * (high / low - 1.0)) + 1.0
-            edges.append(low + gap * 2.0 ** -np.arange(1.0, last))
-    return np.unique(np.concatenate(edges))

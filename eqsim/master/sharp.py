@@ -111,18 +111,21 @@ def passages(
     return passed
 
 
-def _again(corners: Corners, X: float, since: int) -> float:
-    """Time when the slider passes X again after corner `since`; infinite if never."""
-    side = np.sign(corners.X[since + 1 :] - X)
-    moved = np.flatnonzero(side)
-    if moved.size == 0:
-        return math.inf
-    back = np.flatnonzero(side[moved[0] :] != side[moved[0]])
-    if back.size == 0:
-        return math.inf
-    j = since + 1 + moved[0] + back[0]
+def _reaches(corners: Corners, X: float, j: int) -> float:
+    """Time when the slider is at X on its way to corner j."""
     share = (X - corners.X[j - 1]) / (corners.X[j] - corners.X[j - 1])
     return float(corners.t[j - 1] + share * (corners.t[j] - corners.t[j - 1]))
+
+
+def _again(corners: Corners, since: int) -> float:
+    """Time when the slider passes corner `since` again; infinite if never."""
+    X = float(corners.X[since])
+    side = np.sign(corners.X[since + 1 :] - X)
+    away = np.flatnonzero(side)
+    back = np.flatnonzero(side[away[0] :] != side[away[0]]) if away.size else away
+    return (
+        _reaches(corners, X, since + 1 + away[0] + back[0]) if back.size else math.inf
+    )
 
 
 def _turns(corners: Corners) -> list[int]:
@@ -137,16 +140,12 @@ def _resumed(corners: Corners, t: float) -> list[float]:
     more than before."""
     after = np.flatnonzero(corners.t > t)
     here = np.interp(t, corners.t, corners.X)
-    x = np.append(0.0, np.abs(corners.X[after] - here))
+    way = corners.X[after] - here
+    x = np.append(0.0, np.abs(way))
     greatest = np.maximum.accumulate(x)
-    resumed = []
-    for j in np.flatnonzero((np.diff(greatest) > 0.0) & (x[:-1] < greatest[:-1])):
-        level = math.copysign(greatest[j], corners.X[after[j]] - here)
-        X0 = corners.X[after[j - 1]]
-        share = (here + level - X0) / (corners.X[after[j]] - X0)
-        begin, end = corners.t[after[j - 1]], corners.t[after[j]]
-        resumed.append(float(begin + share * (end - begin)))
-    return resumed
+    resumed = np.flatnonzero((np.diff(greatest) > 0.0) & (x[:-1] < greatest[:-1]))
+    X = here + np.copysign(greatest[:-1], way)
+    return [_reaches(corners, X[j], after[j]) for j in resumed]
 
 
 def sharp_instants(
@@ -158,35 +157,17 @@ def sharp_instants(
     fresh: bool,
     by_time: bool,
 ) -> list[Sharp]:
-    """Find the instants at which many contacts are born or break at once.
-
-    Parameters
-    ----------
-    corners : Corners
-    levels : Levels
-        Of the law of thresholds.
-    growth : callable, optional
-        Factor by which thresholds have grown at an age; None if they do not grow.
-    delay : float
-        Mean delay.
-    spread : bool
-        True if delays differ.
-    fresh : bool
-        True if all contacts are born at 0.
-    by_time : bool
-        True if the births per displacement depend on the velocity.
-
-    Returns
-    -------
-    list of Sharp
-        The most important ones, of instants after 0 and before the end.
-    """
+    """Find the instants at which many contacts are born or break at once, after 0 and
+    before the end: the most important ones, for `levels` of thresholds that grow by a
+    factor `growth` of their age, or not at all, and a mean `delay`. Delays differ if
+    `spread`; all contacts are born at 0 if `fresh`; the births per displacement depend
+    on the velocity if `by_time`."""
     heap = [Sharp(-1.0, -1.0, 0.0)] if fresh else [Sharp(0.0, -0.5, 0.0)]
     turns = _turns(corners)
     for j in range(1, corners.t.size - 1) if by_time else turns:
         heap.append(Sharp(0.0, -0.5, float(corners.t[j])))
     for j in turns:
-        heap.append(Sharp(0.0, -0.5, _again(corners, float(corners.X[j]), j)))
+        heap.append(Sharp(0.0, -0.5, _again(corners, j)))
     heapq.heapify(heap)
     end = float(corners.t[-1])
     instants: list[Sharp] = []

@@ -24,7 +24,7 @@ from eqsim.laws.barrier import Mechanical
 from eqsim.master import characteristic
 from eqsim.master.characteristic import NO_VALUE, Mode, mode
 from eqsim.master.idle import IDLE, shift_by_heat
-from eqsim.master.profile import SmoothLife, profile_of
+from eqsim.master.profile import Profile
 from eqsim.master.programme import course_of
 from eqsim.master.steady import reference, settled
 from eqsim.master.transient import after, from_birth, middle_half, renewal_of
@@ -370,57 +370,42 @@ def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
     friction, error = known(steady.friction), steady.friction.stderr or 0.0
     distance = _MEAN_LIVES * known(steady.travel) / unit
     least, level = least_slip(ensemble.thresholds) / unit, friction / unit
-    profile = profile_of(contacts)
-    if profile.jumps or not isinstance(profile, SmoothLife):
-        steady_level = Estimate(level, error / unit, 0)
-        return _of_discrete(contacts, distance, least, steady_level, unit)
-    # cells resolve the middle half of the ends of lives
+    profile = Profile(contacts)
+    # cells resolve the middle half of the ends of lives, or slips
     quick, slow = middle_half(profile)
     wanted = _CELLS_PER_WIDTH * distance / max(slow - quick, 1e-300)
+    if profile.jumps:
+        wanted = 0.25 * _PER_SLIP * distance / least
     cells = 4 * int(min(max(wanted, _COARSEST_GRID), _FINEST_GRID))
     x = distance / cells * np.arange(cells + 1)
-    grids = [_fresh_transient(profile, x[::n], contacts) for n in (4, 2, 1)]
-    rough, fine = grids[0].refined(grids[1]), grids[1].refined(grids[2])
-    fall, fall_X, unknown = fine.steepest()
-    other, other_X, _ = rough.steepest()
-    highest, highest_X = fine.highest()
-    critical = Estimate(math.inf, 0.0, 0)
-    if math.isfinite(fall):
-        beside = _apart(rough.x, rough.later_slope, fine.later_slope, fall_X)
-        missed = max(abs(fall - other), beside) + unknown
-        missed += profile.error * max(highest, fall)
-        critical = Estimate(max(fall, 0.0), missed, 0)
-    missed = (abs(fall_X - other_X) + _EVEN_SLOPE * fine.x[1]) * unit
-    X = Estimate(fall_X * unit, missed, 0) if fall > 0.0 else NO_VALUE
-    ratio = max(highest, level) / level
-    beside = _apart(rough.x, rough.later, fine.later, highest_X)
-    missed = max(abs(highest - rough.highest()[0]), beside) / level
-    missed += ratio * (profile.error + error / friction)
-    forces = rough.force, fine.force
-    slip, _ = _chord(forces, distance, least, profile.error * highest)
-    return FreshSlip(critical, X, Estimate(ratio, missed, 0), slip)
-
-
-def _of_discrete(
-    contacts: Reduced, distance: float, least: float, steady: Estimate, unit: float
-) -> FreshSlip:
-    """`fresh_slip` of contacts that break together, whose friction in the steady state
-    is `steady`. Lengths are in units of `unit`; the result is in those of the user."""
-    wanted = 0.25 * _PER_SLIP * distance / least
-    cells = 4 * int(min(max(wanted, _COARSEST_GRID), _FINEST_GRID))
-    x = distance * np.linspace(0.0, 1.0, cells + 1)
-    profile = profile_of(contacts, x)
-    forces = [renewal_of(profile, edges, contacts).force for edges in (x[::2], x)]
-    rough, highest = (float(force.max()) for force in forces)
+    if profile.jumps:
+        forces = [renewal_of(profile, edges, contacts).force for edges in (x[::2], x)]
+        other, highest = (float(force.max()) for force in forces)
+        # between points it rises by no more than the stiffness times their distance
+        beside = float(x[1] * np.abs(profile.at(x[1:2])[1]).max())
+        missed = abs(highest - other) + beside
+    else:
+        grids = [_fresh_transient(profile, x[::n], contacts) for n in (4, 2, 1)]
+        rough, fine = grids[0].refined(grids[1]), grids[1].refined(grids[2])
+        forces = [rough.force, fine.force]
+        highest, highest_X = fine.highest()
+        beside = _apart(rough.x, rough.later, fine.later, highest_X)
+        missed = max(abs(highest - rough.highest()[0]), beside)
     slip, X = _chord(forces, distance, least, profile.error * highest)
-    # between points a force rises by no more than the stiffness times their distance
-    missed = abs(highest - rough) + profile.error * highest
-    missed += float(x[1] * np.abs(profile.at(x[1:2])[1]).max())
-    level, error = known(steady), steady.stderr or 0.0
-    peak_ratio = max(highest, level) / level
-    ratio = Estimate(peak_ratio, (missed + peak_ratio * error) / level, 0)
-    place = Estimate(X * unit, 2.0 * float(x[1]) * unit, 0)
-    return FreshSlip(slip, place if known(slip) > 0.0 else NO_VALUE, ratio, slip)
+    critical, X_error = slip, 2.0 * float(x[1])
+    if not profile.jumps:
+        critical, (fall, X, unknown) = Estimate(math.inf, 0.0, 0), fine.steepest()
+        other, other_X, _ = rough.steepest()
+        X_error = abs(X - other_X) + _EVEN_SLOPE * fine.x[1]
+        if math.isfinite(fall):
+            beside = _apart(rough.x, rough.later_slope, fine.later_slope, X)
+            off = max(abs(fall - other), beside) + unknown
+            off += profile.error * max(highest, fall)
+            critical = Estimate(max(fall, 0.0), off, 0)
+    place = Estimate(X * unit, X_error * unit, 0) if known(critical) > 0 else NO_VALUE
+    ratio = max(highest, level) / level
+    off = missed / level + ratio * (profile.error + error / friction)
+    return FreshSlip(critical, place, Estimate(ratio, off, 0), slip)
 
 
 def _chord(
@@ -460,7 +445,7 @@ class _FreshTransient(NamedTuple):
     viscous force that a contact loses when it is pinned again, and, arrays (cells +
     1,), the force, and the force of contacts born on the way, with its slope."""
 
-    profile: SmoothLife
+    profile: Profile
     drag: float
     x: Array
     force: Array
@@ -511,9 +496,7 @@ class _FreshTransient(NamedTuple):
         return float(values[j]), float(near[j]), float(edges[i])
 
 
-def _fresh_transient(
-    profile: SmoothLife, x: Array, contacts: Reduced
-) -> _FreshTransient:
+def _fresh_transient(profile: Profile, x: Array, contacts: Reduced) -> _FreshTransient:
     renewal, drag = renewal_of(profile, x, contacts), 0.0
     if contacts.delay.mean:
         drag = contacts.drag

@@ -4,19 +4,18 @@ engine reports them, or at many for fits and curves."""
 import functools
 import math
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import optimize
 
 from eqsim.errors import InputError
 from eqsim.estimate import Averages, Estimate, infinite, known
-from eqsim.laws.aging import Aging
+from eqsim.laws.aging import Aging, Langevin
 from eqsim.laws.threshold import Gamma
 from eqsim.master.annealed import Ageing, annealed_moments
-from eqsim.master.profile import profile_of
+from eqsim.master.profile import Profile, moments_of
 from eqsim.master.quenched import LifeMoments, integrals_beyond
-from eqsim.master.solvers import PUBLISHED, method_of, moments_of
 from eqsim.model.drive import Drive, Programme, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.mixture import mixed_averages
@@ -24,6 +23,9 @@ from eqsim.model.reduced import Reduced, bare, delay_of, drag_of, reduced
 from eqsim.numerics.tables import Array
 from eqsim.results import Drawn, Result
 
+# Names of equations.
+_PUBLISHED = "published master equation"
+_JOINT = "joint kinetic equation"
 # Slowest motor, over its velocity without a load.
 _SLOWEST = 1e-12
 # Velocities, four in a decade, between which there is one steady velocity, or none.
@@ -54,18 +56,6 @@ class Reference(Averages):
     method: str
     velocity: Estimate | None = None
     roots: tuple[float, ...] = ()
-
-
-class MomentArrays(NamedTuple):
-    """`LifeMoments` at many velocities, arrays (velocities,)."""
-
-    stretch: Array
-    work: Array
-    stretch_error: Array
-    work_error: Array
-    birth: Array
-    square: Array
-    square_error: Array
 
 
 @dataclass(frozen=True, repr=False)
@@ -161,12 +151,25 @@ def reference(
     }
     if divergence:
         found["force_variance"] = infinite()
-    elif math.isnan(lives.square[0]):
+    elif np.isnan(lives.square).any():
         found["force_variance"] = Estimate(None, None, 0, None, False)
     # also where heat breaks none
     published = ensemble.disorder == "annealed" and ensemble.aging.active
-    method = PUBLISHED if published else method_of(reduced(alone, v))
+    method = _PUBLISHED if published else _method_of(reduced(alone, v))
     return Reference(**found, method=method)
+
+
+def _method_of(contacts: Reduced) -> str:
+    """The name of the equation that describes contacts."""
+    if contacts.newborn.active:
+        one_sided = f"{_PUBLISHED}, births R(x)"
+        return one_sided if contacts.one_sided else f"{_JOINT}, births stretched"
+    if contacts.annealed:
+        return _PUBLISHED
+    if isinstance(contacts.aging, Langevin):
+        return "Fokker-Planck equation"
+    along = "" if contacts.aging.closed else " along flowing thresholds"
+    return _JOINT + along
 
 
 def _behind_motor(ensemble: Ensemble, drive: Programme, variance: bool) -> Reference:
@@ -258,7 +261,7 @@ def curve(ensemble: Ensemble, velocities: Array) -> Curve:
 
 
 def _observables(
-    ensemble: Ensemble, velocities: tuple[float, ...], lives: MomentArrays
+    ensemble: Ensemble, velocities: tuple[float, ...], lives: LifeMoments
 ) -> dict[str, tuple[Array, Array]]:
     """Values and absolute errors of observables in the user's units, arrays
     (velocities,)."""
@@ -285,7 +288,7 @@ def _observables(
         "pinned": (pinned, pinned_error),
         "break_stretch": ((lives.birth + travel) * unit, off),
         "travel": (travel * unit, off),
-        "birth_stretch": (lives.birth * unit, np.zeros_like(off)),
+        "birth_stretch": (lives.birth * unit + 0.0 * off, 0.0 * off),
         "force_variance": (variance * unit**2, missed * unit**2),
         "f_k": (work / travel * unit, f_k_error * unit),
     }
@@ -297,7 +300,7 @@ def _observables(
 @functools.lru_cache(maxsize=128)
 def lives_of(
     ensemble: Ensemble, velocities: tuple[float, ...], square: bool = False
-) -> MomentArrays:
+) -> LifeMoments:
     """Moments of lives, whatever the delay, which only changes how
     often they begin; with the mean square of force of contacts born unstretched if
     asked, where it is finite. Raises InputError."""
@@ -310,12 +313,14 @@ def lives_of(
     else:
         every = [reduced(ensemble, v) for v in velocities]
         found = moments_of(every, square=square)
-    if square and math.isnan(found[0].square):
-        found = [
-            _with_square(reduced(ensemble, v, lives.stretch * law.scale), lives)
-            for v, lives in zip(velocities, found, strict=True)
+    if square and np.isnan(found.square).any():
+        squares = [
+            _square_of(reduced(ensemble, v, stretch * law.scale))
+            for v, stretch in zip(velocities, found.stretch.tolist(), strict=True)
         ]
-    return MomentArrays(*np.array(found).T)
+        square_of, error = np.transpose(squares)
+        found = found._replace(square=square_of, square_error=error)
+    return found
 
 
 def settled(ensemble: Ensemble, velocity: float) -> Reduced:
@@ -328,19 +333,17 @@ def settled(ensemble: Ensemble, velocity: float) -> Reduced:
     return reduced(ensemble, velocity, stretch * ensemble.thresholds.scale)
 
 
-def _with_square(contacts: Reduced, moments: LifeMoments) -> LifeMoments:
-    """Moments of contacts born unstretched with E[int kappa^2 x^2 dx], by quadrature
+def _square_of(contacts: Reduced) -> tuple[float, float]:
+    """E[int kappa^2 x^2 dx] of contacts born unstretched, and its error, by quadrature
     over thresholds or from the profile of a life."""
     if contacts.aging.closed and not contacts.annealed:
-        (closed,) = moments_of([contacts], square=True)
-        square, error = closed.square, closed.square_error
-    else:
-        profile = profile_of(contacts)
-        square = float(profile.integral(np.array([math.inf]), 2)[2, 0])
-        last = float(profile.x[-1]), float(profile.survive[-1])
-        rest, missed = integrals_beyond(contacts, *last)
-        square += float(rest[2, 2])
-        # of the end of a life the square knows more than the work does, by which the
-        # profile's error was judged: twice it
-        error = 2.0 * profile.error * square + float(missed[2, 2])
-    return moments._replace(square=square, square_error=error)
+        closed = moments_of([contacts], square=True)
+        return float(closed.square[0]), float(closed.square_error[0])
+    profile = Profile(contacts)
+    square = float(profile.integral(np.array([math.inf]), 2)[2, 0])
+    last = float(profile.x[-1]), float(profile.survive[-1])
+    rest, missed = integrals_beyond(contacts, *last)
+    square += float(rest[2, 2])
+    # of the end of a life the square knows more than the work does, by which the
+    # profile's error was judged: twice it
+    return square, 2.0 * profile.error * square + float(missed[2, 2])

@@ -15,14 +15,13 @@ from eqsim.laws.aging import Langevin
 from eqsim.laws.newborn import BirthLaw, DeltaBirths, ExponentialBirths, NormalBirths
 from eqsim.laws.threshold import rank_above
 from eqsim.master import flow
-from eqsim.master.annealed import pooled_polynomials, survivors_of_steps
+from eqsim.master.annealed import pooled_polynomials
 from eqsim.master.fokker_planck import fluctuating_survivors
 from eqsim.master.newborn import law_of_births, marks_of_births
 from eqsim.master.quenched import (
     different_steps,
     greatest_of,
     kappa_of,
-    panels_between_steps,
     rarest_that_counts,
     stiffness_of_survivors,
     thresholds_above,
@@ -46,8 +45,10 @@ _PASSED_RANGE = _PASSED[0] - 10.0, _PASSED[-1] + 10.0
 _SHALLOWEST = -44.0
 _GRID_POINTS = 32
 _REFINED = 1
-# Pairs of birth and travel that are followed at once, to bound memory.
+# Pairs of birth and travel that are followed at once, to bound memory, and those of
+# them and a threshold of a discrete law.
 _PAIRS_AT_ONCE = 1000
+_LIVES_AT_ONCE = 200_000
 # Weight of births that do not count.
 _NEGLIGIBLE_WEIGHT = 1e-13
 # -ln J_c of thresholds where panels of births that are fractions of these end.
@@ -58,14 +59,11 @@ _POWERS_OF_STRETCH = np.arange(3)[:, None]
 
 def survivor_moments(contacts: Reduced, travel: Array) -> Array:
     """Moments of contacts that outlast a travel > 0, shape (n,): E[x^i kappa^j; l >
-    travel], x the stretch there, i and j from 0 to 2, shape (3, 3, n). Travels of
-    annealed contacts of a discrete law have to ascend."""
+    travel], x the stretch there, i and j from 0 to 2, shape (3, 3, n)."""
     powers = travel ** _POWERS_OF_STRETCH[:, None]
     if isinstance(contacts.aging, Langevin):
         return powers * fluctuating_survivors(contacts, travel)
     if not contacts.newborn.active:
-        if contacts.annealed and contacts.law.steps.size:
-            return powers * survivors_of_steps(contacts, travel)
         return _born_at(contacts, np.zeros(travel.size), travel)
     births = law_of_births(contacts)
     if isinstance(births, DeltaBirths):
@@ -110,61 +108,40 @@ def _born_at(contacts: Reduced, birth: Array, travel: Array) -> Array:
         least = np.maximum(np.abs(birth), birth + travel)
         least /= contacts.aging.growth_at(travel)
         share = np.maximum(law.sf(np.abs(birth) * law.scale), 1e-300)
-    if law.steps.size:
-        return _over_steps(contacts, birth, travel, least) / share
-    found = np.empty((3, 3, birth.size))
-    for start in range(0, birth.size, _PAIRS_AT_ONCE):
-        part = slice(start, start + _PAIRS_AT_ONCE)
+    found, steps = np.empty((3, 3, birth.size)), max(law.steps.size, 1)
+    at_once = min(_PAIRS_AT_ONCE, _LIVES_AT_ONCE // steps + 1)
+    for start in range(0, birth.size, at_once):
+        part = slice(start, start + at_once)
         every = birth[part], travel[part], least[part]
         found[:, :, part] = _over_thresholds(contacts, *every)
     return found / share
 
 
-def _over_steps(contacts: Reduced, birth: Array, travel: Array, least: Array) -> Array:
-    """Sums over the thresholds of a discrete law above `least`."""
-    of_threshold, growth = contacts.newborn.of == "threshold", contacts.aging.growth_at
-    grows = contacts.barrier.thermal and not contacts.aging.closed
-    edges = panels_between_steps(contacts) if grows else birth
-    found = np.zeros((3 if of_threshold else 1, 3, birth.size))
-    for xi, share, kappa in zip(*different_steps(contacts), strict=True):
-        # at its own end a contact is broken, whichever way that was rounded
-        on = xi > least * (1.0 + 1e-13)
-        y, way, every = birth[on], travel[on], np.full(np.count_nonzero(on), xi)
-        y = y * xi if of_threshold else y
-        passed = (
-            flow.hazard_on(contacts, way, xi, edges)
-            if grows
-            else _passed(contacts, y, way, every)
-        )
-        alive = share * np.exp(-np.minimum(passed, 700.0))
-        if contacts.aging.stiffens:
-            kappa = flow.kappa_along(contacts, every, xi * growth(way))
-        alive = kappa**_POWERS_OF_STRETCH * alive
-        if of_threshold:
-            alive = (y + way) ** _POWERS_OF_STRETCH[:, None] * alive
-        found[:, :, on] += alive
-    if of_threshold:
-        return found
-    return np.asarray((birth + travel) ** _POWERS_OF_STRETCH[:, None] * found)
-
-
 def _over_thresholds(
     contacts: Reduced, birth: Array, travel: Array, least: Array
 ) -> Array:
-    """Means over thresholds above `least` of a smooth law."""
+    """Means over thresholds above `least`."""
     law, barrier = contacts.law, contacts.barrier
-    of_threshold, layer = contacts.newborn.of == "threshold", np.empty((birth.size, 0))
-    if barrier.thermal and not contacts.annealed:
-        layer = _thresholds_at_levels(contacts, birth[:, None], travel[:, None], least)
-    rarest = rarest_that_counts(barrier) + _HEAVY_TAIL * contacts.newborn.active
-    edges = thresholds_above(law, least, layer, rarest)
-    row, column = np.nonzero(np.diff(edges, axis=1) > 0)
-    xi, weights = _OF_PANELS.between(edges[row, column], edges[row, column + 1])
+    of_threshold = contacts.newborn.of == "threshold"
+    if law.steps.size:
+        xi, share, _ = different_steps(contacts)
+        # at its own end a contact is broken, whichever way that was rounded
+        row, step = np.nonzero(xi > least[:, None] * (1.0 + 1e-13))
+        xi, terms = xi[step, None], share[step, None]
+    else:
+        layer = np.empty((birth.size, 0))
+        if barrier.thermal and not contacts.annealed:
+            at = birth[:, None], travel[:, None], least
+            layer = _thresholds_at_levels(contacts, *at)
+        rarest = rarest_that_counts(barrier) + _HEAVY_TAIL * contacts.newborn.active
+        edges = thresholds_above(law, least, layer, rarest)
+        row, column = np.nonzero(np.diff(edges, axis=1) > 0)
+        xi, weights = _OF_PANELS.between(edges[row, column], edges[row, column + 1])
+        terms = weights * law.pdf(xi * law.scale) * law.scale
+        terms[~np.isfinite(terms)] = 0.0  # the density may be infinite at an end
     y, way = birth[row, None] * (xi if of_threshold else 1.0), travel[row, None]
     y, way = np.broadcast_arrays(y, way + 0.0 * xi)
-    terms = weights * law.pdf(xi * law.scale) * law.scale
-    terms *= np.exp(-np.minimum(_passed(contacts, y, way, xi), 700.0))
-    terms[~np.isfinite(terms)] = 0.0  # the density may be infinite at an end
+    terms = terms * np.exp(-np.minimum(hazard_passed(contacts, y, way, xi), 700.0))
     growth = contacts.aging.growth_at(travel)[row, None]
     kappa, x = flow.kappa_along(contacts, xi, xi * growth), y + way
     found = np.empty((3, 3, birth.size))
@@ -176,7 +153,7 @@ def _over_thresholds(
             found[i, j] = found[i, 0] if same else mean
             weighed = weighed * kappa
         terms = terms * x
-    if not barrier.thermal:  # the law knows its own share better than the panels
+    if not (barrier.thermal or law.steps.size):  # a law knows its share better
         share = law.sf(least * law.scale)
         found *= np.where(found[0, 0] > 0.0, share / found[0, 0].clip(1e-300), 0.0)
     return found
@@ -196,7 +173,7 @@ def _thresholds_at_levels(
     for _ in range(_REFINED + 1):
         xi = least * (1.0 + np.exp(depth))
         y = birth * (xi if contacts.newborn.of == "threshold" else np.ones_like(xi))
-        passed = _passed(contacts, y, travel + 0.0 * xi, xi)
+        passed = hazard_passed(contacts, y, travel + 0.0 * xi, xi)
         known = np.append(known, depth, axis=1)
         # far from the levels it is steep, and known to be so is enough
         near = np.clip(np.log(np.maximum(passed, 1e-300)), *_PASSED_RANGE)
@@ -219,24 +196,17 @@ def _published_survivors(contacts: Reduced, y: Array, travel: Array) -> Array:
     (Q11a)."""
     law, x = contacts.law, y + travel
     up, born = np.maximum(x, 0.0), np.maximum(y, 0.0)
-    if law.steps.size:
-        xi, share, kappa = different_steps(contacts)
-        above = np.searchsorted(xi, up, side="right")
-        parts = (share * kappa**_POWERS_OF_STRETCH)[:, ::-1].cumsum(axis=1)[:, ::-1]
-        tails = np.append(parts, np.zeros((3, 1)), axis=1)[:, above]
-    else:
-        J = law.sf(up * law.scale)
-        with np.errstate(invalid="ignore"):
-            stiff = np.stack(
-                (J, *(J * part for part in stiffness_of_survivors(contacts, up)))
-            )
-        tails = np.where(J > 0, stiff, 0.0)
+    J = law.sf(up * law.scale)
+    with np.errstate(invalid="ignore"):
+        stiff = [J * part for part in stiffness_of_survivors(contacts, up)]
+    tails = np.where(J > 0, np.stack((J, *stiff)), 0.0)
     J_born = np.maximum(law.sf(born * law.scale), 1e-300)
-    alive = np.exp(-np.minimum(_passed(contacts, y, travel, born), 700.0)) / J_born
+    passed = hazard_passed(contacts, y, travel, born)
+    alive = np.exp(-np.minimum(passed, 700.0)) / J_born
     return np.asarray(x ** _POWERS_OF_STRETCH[:, None] * tails * alive)
 
 
-def _passed(contacts: Reduced, y: Array, travel: Array, xi: Array) -> Array:
+def hazard_passed(contacts: Reduced, y: Array, travel: Array, xi: Array) -> Array:
     """Lambda(y + travel) - Lambda(y) of thresholds xi, arrays of one shape."""
     barrier = contacts.barrier
     if not barrier.thermal:

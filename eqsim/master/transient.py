@@ -34,7 +34,7 @@ from eqsim.estimate import known
 from eqsim.laws.delay import Exponential, Fixed
 from eqsim.laws.no_thresholds import has_jumps
 from eqsim.master import programme, slider
-from eqsim.master.profile import Profile, profile_of
+from eqsim.master.profile import Profile
 from eqsim.master.programme import Transient as Transient
 from eqsim.master.quenched import integrals_beyond
 from eqsim.master.steady import reference, settled
@@ -213,15 +213,14 @@ def cells_of(contacts: Reduced, distance: float, points: int) -> Cells:
     discrete = has_jumps(contacts.law)
     least = min(max(distance / _CELL_PER_THRESHOLD, _LEAST_CELLS), _MOST_CELLS)
     finest = _FINEST
-    if discrete:  # every threshold takes time in every cell
+    if discrete:  # any cells blur jumps, and more of them take time
         finest //= 4 * np.unique(contacts.law.steps).size
-    smooth = None if discrete and not contacts.newborn.active else profile_of(contacts)
+    profile = Profile(contacts)
     while True:
         cells = int(least)
         if points - 1 <= max(finest, _MOST_CELLS):
             cells = (points - 1) * max(1, round(cells / (points - 1)))
         fine = distance / (2 * cells) * np.arange(2 * cells + 1)
-        profile = smooth or profile_of(contacts, fine)
         in_step, around = _in_step(profile, contacts, fine[::2])
         least *= _FINER
         resolved = in_step.max() <= _MISSED_IN_STEP

@@ -19,6 +19,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy import optimize, special
 
 from eqsim.engine.records import SliderTrajectory
 from eqsim.engine.trajectory import trajectory
@@ -29,20 +30,19 @@ from eqsim.laws.newborn import Newborn
 from eqsim.laws.no_thresholds import NoThresholds
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.laws.thermal import Thermal
-from eqsim.laws.threshold import Delta, ThresholdLaw
-from eqsim.master.avalanche_sizes import load_of, missed_by_few, size_law
+from eqsim.laws.threshold import Delta
+from eqsim.master.annealed import successful_attempts
+from eqsim.master.avalanche_sizes import load_of, missed_by_few, nodes_of, size_law
 from eqsim.master.lifetimes import lifetime
+from eqsim.master.quenched import kappa_of
 from eqsim.model.drive import Programme, Segment, Stage
 from eqsim.model.ensemble import Ensemble
-from eqsim.numerics.quadrature import gauss_legendre
+from eqsim.model.reduced import Reduced, reduced
 from eqsim.numerics.tables import Array
 from eqsim.validation.comparison import Found, LeftOut, Point, compares
 from eqsim.validation.points import Suite
 
-# Octaves of e = -ln P(xi > .): less than 1e-12 of all thresholds are weaker, 1e-13
-# stronger.
-_HAZARD_OCTAVES = range(-40, 6)
-# Gauss-Legendre nodes in each octave, for one and for two contacts.
+# Gauss-Legendre nodes in each octave of -ln P(xi > .), for one and for two contacts.
 _PER_OCTAVE = {1: 48, 2: 9}
 # Error of a pinned share from the motion of an all but rigid slider when contacts break.
 _MOVED_BY_BREAK = 1e-6
@@ -89,57 +89,29 @@ def _bare(ensemble: Ensemble, count: int, delay: Delay) -> Ensemble:
     return replace(ensemble, count=count, delay=delay)
 
 
+def _slide(
+    ensemble: Ensemble, programme: Programme, seed: int, replicas: int
+) -> SliderTrajectory:
+    """Replicas of a pulled slider."""
+    run = trajectory(ensemble, programme, points=2, seed=seed, replicas=replicas)
+    assert isinstance(run, SliderTrajectory)
+    return run
+
+
 # ------------------------------------------------------------------------------- holds
 
 
-def nodes(law: ThresholdLaw, each: int) -> tuple[Array, Array]:
-    """Thresholds and their weights, arrays (n,), for means over the law; `each` in an
-    octave of -ln P(xi > .)."""
-    if law.steps.size:
-        xi, count = np.unique(law.steps, return_counts=True)
-        return xi, count / law.steps.size
-    x, weight = gauss_legendre(each)
-    octave = 2.0 ** np.array(_HAZARD_OCTAVES)[:, None]
-    e = (octave * (1.5 + 0.5 * x)).ravel()
-    share = (0.5 * octave * weight).ravel() * np.exp(-e)
-    return np.asarray(law.inverse_survival(e)), share / share.sum()
-
-
-def rates(ensemble: Ensemble, xi: Array, stretch: Array) -> Array:
-    """Thermal breaking rates, per time, of contacts with thresholds `xi` and stretches
-    below these (any shape)."""
-    if ensemble.disorder != "annealed":
-        return _rate(ensemble, xi, stretch)
-    # attempts draw thresholds of their own
-    fresh, share = nodes(ensemble.thresholds, _PER_OCTAVE[1])
-    at, back = np.unique(stretch, return_inverse=True)
-    pooled = [float(np.sum(share * _rate(ensemble, fresh, x))) for x in at]
-    return np.array(pooled)[back].reshape(np.shape(stretch))
-
-
-def _rate(ensemble: Ensemble, xi: Array, stretch: Array) -> Array:
-    """Rate of a contact, per time, 0 beyond its threshold (temper11, temper12, eq. (3)
-    of Dudko et al., 2006, Bell, 1978, and Pereverzev et al., 2005)."""
-    heat, gap = ensemble.thermal, np.clip(1.0 - stretch / xi, 0.0, 1.0)
-    force = _stiffness(ensemble, xi) * stretch
-    if heat.off_rate is not None and heat.force_scale is not None:
-        return heat.off_rate * np.exp(force / heat.force_scale) * (gap > 0.0)
-    if heat.catch is not None and heat.slip is not None:
-        closing = heat.catch.rate * np.exp(-force / heat.catch.force)
-        opening = heat.slip.rate * np.exp(force / heat.slip.force)
-        return (closing + opening) * (gap > 0.0)
-    height = 0.5 * (_stiffness(ensemble, xi) / heat.kT) * xi**2
-    if heat.barrier == "soft":
-        success = np.where(gap > 0.0, np.exp(-height * gap * (2.0 - gap)), 0.0)
-    else:
-        power = {"stiff": 1.5, "cusp": 2.0}[heat.barrier]
-        success = gap ** (power - 1.0) * np.exp(-height * gap**power)
-    return heat.attempt_frequency * np.asarray(success)
-
-
-def _stiffness(ensemble: Ensemble, xi: Array) -> Array:
-    law, rms = ensemble.stiffness_law, ensemble.thresholds.rms
-    return np.asarray(ensemble.stiffness * relative_stiffness(law, xi, rms))
+def rates(contacts: Reduced, xi: Array, stretch: Array) -> Array:
+    """Thermal breaking rates, per time, of contacts at a velocity of one length unit per
+    time, with thresholds `xi` and stretches (any shape); beyond a threshold that at it.
+    """
+    if contacts.annealed:
+        x, back = np.unique(stretch, return_inverse=True)
+        return successful_attempts(contacts, x)[back].reshape(stretch.shape)
+    a = contacts.barrier.b * kappa_of(contacts, xi)
+    with np.errstate(divide="ignore"):  # a stiff contact at its threshold
+        log_rate = contacts.barrier.log_rate(np.minimum(stretch, xi), xi, a)
+    return np.exp(contacts.barrier.log_w + log_rate)
 
 
 def pinned_in_hold(
@@ -148,12 +120,14 @@ def pinned_in_hold(
     """The pinned share as a function of the time of a hold, from a fresh start: of one
     or two contacts, or of many behind a spring that is all but rigid; by quadrature with
     `each` nodes in an octave."""
-    law, kappa, pull = ensemble.thresholds, stage.stiffness, stage.preload or 0.0
-    xi, share = nodes(law, each)
-    k = relative_stiffness(ensemble.stiffness_law, xi, law.rms)
+    law, kappa = ensemble.thresholds, stage.stiffness
+    pull = (stage.preload or 0.0) / law.scale
+    contacts = reduced(ensemble, law.scale)
+    xi, share = nodes_of(law, each)
+    k = kappa_of(contacts, xi)
     if ensemble.count != 2:
         x = kappa * pull / (kappa + k)
-        rate = rates(ensemble, xi, x)
+        rate = rates(contacts, xi, x)
         return lambda time: float(np.sum(share * (x < xi) * np.exp(-rate * time)))
     # a weaker contact, the first index, and a stronger one
     weak, strong = np.meshgrid(xi, xi, indexing="ij")
@@ -162,9 +136,9 @@ def pinned_in_hold(
     together = 2.0 * kappa * pull / (2.0 * kappa + k[:, None] + k)
     alone = 2.0 * kappa * pull / (2.0 * kappa + k)
     pair, holds_alone = together < weak, alone < xi
-    weak_rate = rates(ensemble, weak, together)
-    strong_rate = rates(ensemble, strong, together)
-    after = rates(ensemble, xi, alone)
+    weak_rate = rates(contacts, weak, together)
+    strong_rate = rates(contacts, strong, together)
+    after = rates(contacts, xi, alone)
 
     def pinned(time: float) -> float:
         total = np.where(pair, weak_rate + strong_rate, 0.0)
@@ -173,22 +147,15 @@ def pinned_in_hold(
             (weak_rate, after[None, :], holds_alone[None, :]),
             (strong_rate, after[:, None], holds_alone[:, None]),
         ):
-            survives = np.where(holds, goes * _between(total, last, time), 0.0)
-            left += np.where(pair, survives, 0.0)
+            # int_0^t exp(-total s) exp(-last (t - s)) ds
+            first = np.exp(-np.minimum(total, last) * time)
+            apart = special.exprel(-np.abs(total - last) * time)
+            left += np.where(pair & holds, goes * time * first * apart, 0.0)
         last = ~pair & holds_alone[None, :]
         left += np.where(last, np.exp(-after[None, :] * time), 0.0)
         return float(np.sum(both * left)) / 2.0
 
     return pinned
-
-
-def _between(first: Array, last: Array, time: float) -> Array:
-    """int_0^t exp(-first s) exp(-last (t - s)) ds."""
-    apart = (first - last) * time
-    near = np.abs(apart) < 1e-6
-    faster = np.abs(np.where(near, 1.0, apart))
-    ratio = np.where(near, 1.0 - 0.5 * np.abs(apart), -np.expm1(-faster) / faster)
-    return time * np.exp(-np.minimum(first, last) * time) * ratio
 
 
 def _hold(
@@ -207,10 +174,9 @@ def _hold(
     low, high = -3.0, math.log10(_LONGEST_HOLD)
     if pinned(10**high) > aim:
         raise LeftOut("few contacts")
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if pinned(10**middle) > aim else (low, middle)
-    return point._replace(stage=stage, time=float(f"{10**high:.4g}"))
+    if pinned(10**low) > aim:
+        low = optimize.brentq(lambda log: pinned(10**log) - aim, low, high, xtol=1e-11)
+    return point._replace(stage=stage, time=float(f"{10**low:.4g}"))
 
 
 def _alike_if_pooled(ensemble: Ensemble) -> Ensemble:
@@ -225,13 +191,8 @@ def _pinned(point: Point, waits: Delay, looks: int, seed: int, plan: Suite) -> E
     """The pinned share at the end of a hold with so many records (`looks`). Raises
     LeftOut if all replicas agree."""
     hold = Segment(0.0, time=point.time, points=looks)
-    run = trajectory(
-        _bare(point.shown, point.contacts, waits),
-        Programme((hold,), stage=point.stage),
-        points=2,
-        seed=seed,
-        replicas=plan.replicas,
-    )
+    shown = _bare(point.shown, point.contacts, waits)
+    run = _slide(shown, Programme((hold,), stage=point.stage), seed, plan.replicas)
     value, error = float(run.pinned[-1]), float(run.pinned_stderr[-1])
     if not error:
         raise LeftOut("few contacts")
@@ -303,9 +264,7 @@ def steps(point: Point, plan: Suite) -> Found:
     segments = (Segment(v, distance=1.5 * mean, points=1),)
     for tolerance in (1e-2, 1e-3):
         programme = Programme(segments, stage=replace(stage, tolerance=tolerance))
-        seed = point.stream(8)
-        run = trajectory(shown, programme, points=2, seed=seed, replicas=n)
-        assert isinstance(run, SliderTrajectory)
+        run = _slide(shown, programme, point.stream(8), n)
         assert run.X_replicas is not None
         assert run.X_replica_std is not None
         scatter = float(run.X_replica_std[-1]) / math.sqrt(n)
@@ -334,8 +293,8 @@ def avalanches(point: Point, plan: Suite) -> Found:
     law, stiffness = point.ensemble.thresholds, point.ensemble.stiffness_law
     if isinstance(law, NoThresholds):
         raise LeftOut("no thresholds")
-    xi, share = nodes(law, _PER_OCTAVE[1])
-    strength = relative_stiffness(stiffness, xi, law.rms) * xi
+    xi, share = nodes_of(law, _PER_OCTAVE[1])
+    strength = relative_stiffness(stiffness, xi, law.rms / law.scale) * xi
     mean, square = float(np.sum(share * strength)), float(np.sum(share * strength**2))
     if not _AVALANCHING * _SLIDERS * mean**2 / square >= _CARRYING:
         raise LeftOut("few contacts")
@@ -347,9 +306,7 @@ def avalanches(point: Point, plan: Suite) -> Found:
     stage, distance = Stage(kappa, preload=None), 3.0 * law.mean
     segments = (Segment(1.0, distance=distance, points=1),)
     programme = Programme(segments, "stationary", 1.0, stage)
-    seed = point.stream(9)
-    run = trajectory(shown, programme, points=2, seed=seed, replicas=_SLIDERS)
-    assert isinstance(run, SliderTrajectory)
+    run = _slide(shown, programme, point.stream(9), _SLIDERS)
     assert run.avalanches is not None
     replica, breaks = run.avalanches["replica"], run.avalanches["breaks"]
     events = np.bincount(replica, minlength=_SLIDERS).astype(float)
@@ -390,14 +347,11 @@ def lifetimes(point: Point, plan: Suite) -> Found:
     if not 0.0 < mean < _LONGEST_HOLD:
         raise LeftOut("few contacts")
     creep = Programme((Segment(force=force, time=float(f"{50.0 * mean:.4g}")),))
-    run = trajectory(shown, creep, points=2, seed=point.stream(10), replicas=_CLUSTERS)
-    assert isinstance(run, SliderTrajectory)
+    run = _slide(shown, creep, point.stream(10), _CLUSTERS)
     point = point._replace(ensemble=cluster, contacts=count, time=run.t[-1])
     ours = mean_of(run.lifetimes, _CLUSTERS, _CLUSTERS - 1)
     return [point.score("lifetime", ours, exact.mean)]
 
 
-PULLED_KINDS = (
-    *(*holds.kinds, *pieces.kinds, *steps.kinds, *avalanches.kinds),
-    *lifetimes.kinds,
-)
+PULLED = holds, pieces, steps, avalanches, lifetimes
+PULLED_KINDS = tuple(kind for compare in PULLED for kind in compare.kinds)

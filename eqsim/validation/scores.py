@@ -30,7 +30,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import integrate
 
 from eqsim.engine.blocks import Job
 from eqsim.engine.contacts import contacts
@@ -43,16 +42,15 @@ from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import predicted_lives, trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES, Estimate, known, mean_of
-from eqsim.laws.aging import Aging, Unaged
+from eqsim.laws.aging import Aging
 from eqsim.laws.no_thresholds import has_jumps
-from eqsim.laws.stiffness import relative_stiffness
-from eqsim.master import flow
-from eqsim.master.profile import profile_of
+from eqsim.master.profile import Profile
 from eqsim.master.steady import reference, settled
+from eqsim.master.survivors import hazard_passed
 from eqsim.master.transient import Transient, fluctuations, transient
 from eqsim.model.drive import Drive, Programme, Segment, Start
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import Reduced, births, drag_of
+from eqsim.model.reduced import births, drag_of
 from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.numerics.tables import Array
 from eqsim.validation.comparison import Found, LeftOut, Point, compares
@@ -77,8 +75,6 @@ _LARGEST_SHARE = 0.2
 _GROUPS = 64
 # Cells of the grid of a transient, times thresholds of a table.
 _GRID_CELLS = 120_000
-# Relative distance below a threshold of a table at which its contacts still live.
-_JUST_BELOW = 1e-13
 # Contacts of a pilot run, at most.
 _PILOT = 400_000
 # Rounding of a threshold that is computed in two ways; a share as small of lives ends by
@@ -404,7 +400,7 @@ def hazards(point: Point, plan: Suite) -> Found:
     stretch = lives(c, Source(key(point.seed, TRAJECTORY), 0, STEP), u, clock).travel
     unit = point.shown.thresholds.scale / point.ensemble.thresholds.scale
     if s.aging.fluctuates:
-        return [point.uniform(profile_of(s).at(stretch * unit)[0])]
+        return [point.uniform(Profile(s).at(stretch * unit)[0])]
     xi = np.empty(u.size)
     thresholds(c.thresholds, u, xi)
     end = xi
@@ -412,8 +408,8 @@ def hazards(point: Point, plan: Suite) -> Found:
         end = np.empty(u.size)
         whole_lives(c, xi, end, np.empty(u.size))
     thermal = stretch < end * (1.0 - _THRESHOLD_ROUNDING)
-    x = np.stack((np.minimum(stretch, end), end)) * unit
-    hazard, total = _integrated(s, xi * unit, x)
+    xi, stretch, end = xi * unit, np.minimum(stretch, end) * unit, end * unit
+    hazard, total = (hazard_passed(s, 0.0 * xi, x, xi) for x in (stretch, end))
     mean, scores = float(hazard.sum()), point.without(hazards.kinds, "few contacts")
     if mean >= _ENOUGH_CONTACTS:
         ours = Estimate(float(thermal.sum()), math.sqrt(mean), u.size)
@@ -422,36 +418,6 @@ def hazards(point: Point, plan: Suite) -> Found:
         share = np.expm1(-hazard[thermal]) / np.expm1(-total[thermal])
         scores[1] = point.uniform(share)
     return scores
-
-
-def _integrated(s: Reduced, xi: Array, x: Array) -> Array:
-    """Integrated hazards to stretches `x` (any, n) of contacts born with thresholds
-    `xi` (n,)."""
-    if s.annealed:
-        return _pooled_hazards(s, x)
-    if isinstance(s.aging, Unaged):
-        a = s.barrier.b * relative_stiffness(s.stiffness, xi, s.rms)
-        return np.exp(s.barrier.log_hazard(x, xi, a) + s.barrier.log_w)
-
-    def rate(y: Array, born: Array) -> Array:
-        return flow.rate_along(s, y, born)
-
-    # The rate is greatest at the ends of a life, where the nodes crowd.
-    accuracy = {"atol": 1e-9, "rtol": 1e-7, "maxlevel": 12}
-    hazard = integrate.tanhsinh(rate, 0.0, x, args=(xi,), **accuracy)
-    return np.asarray(hazard.integral)
-
-
-def _pooled_hazards(s: Reduced, x: Array) -> Array:
-    """Integrated hazards of annealed contacts: -ln of survival over J_c; of a discrete
-    law just below x, so that a threshold x still counts."""
-    order = np.argsort(x.ravel())
-    below = x.ravel()[order] * (1.0 - _JUST_BELOW if s.law.steps.size else 1.0)
-    # not 0 beyond the largest threshold
-    ahead = np.maximum(s.law.sf(below * s.law.scale), 1e-300)
-    alive, hazard = profile_of(s).at(below)[0] / ahead, np.empty(x.size)
-    hazard[order] = -np.log(np.clip(alive, 1e-300, 1.0))
-    return hazard.reshape(x.shape)
 
 
 @compares("mean", "variance", "covariance")
@@ -542,10 +508,5 @@ def _job(ensemble: Ensemble, drive: Drive | Programme, seed: int) -> Job:
     return constant_drive(c, table, run, scales, stream, drag_of(ensemble, v))
 
 
-DRIVEN_KINDS = (
-    *OBSERVABLES,
-    *transients.kinds,
-    *programmes.kinds,
-    *hazards.kinds,
-    *fluctuating.kinds,
-)
+DRIVEN = transients, programmes, hazards, fluctuating
+DRIVEN_KINDS = (*OBSERVABLES, *(kind for compare in DRIVEN for kind in compare.kinds))

@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from eqsim.laws.threshold import Gamma
 from eqsim.master import flow, quenched
+from eqsim.master.quenched import LifeMoments
 from eqsim.master.survivors import survivor_moments
 
 ROWS = aging("flow")
@@ -37,11 +38,11 @@ def at(row, alpha_factor=1.0):
 
 
 def aged_of(*case):
-    return flow.moments_along_paths(contacts(*case))
+    return LifeMoments(*flow.moments_along_paths(contacts(*case)))
 
 
 def still_of(*case):
-    return quenched.quenched_moments([contacts(*case)])[0]
+    return LifeMoments(*np.ravel(quenched.quenched_moments([contacts(*case)])[:4]))
 
 
 @pytest.mark.parametrize("row", list(ROWS.itertuples()), ids=lambda row: row.id)
@@ -207,7 +208,7 @@ def test_errors_cover_a_refined_result(monkeypatch):
     cases = [(*case, m) for case in WIDE[::11] for m in [aged_of(LAW, *case)]]
     monkeypatch.setattr(flow, "_RESOLVED_PATH", 1e-14)
     monkeypatch.setattr(flow, "_CONVERGED_BIRTHS", 1e-14)
-    monkeypatch.setattr(quenched, "_BIRTHS", np.linspace(-34.7, 6.2, 60))
+    monkeypatch.setattr(quenched, "BIRTHS", np.linspace(-34.7, 6.2, 60))
     monkeypatch.setattr(flow, "_SHORTEST_STRETCH", 64.0**-25)
     for *case, m in cases:
         fine = aged_of(LAW, *case)
@@ -255,9 +256,10 @@ def test_survivors_without_aging(barrier):
         for power in range(3):
 
             def term(xi, xj=xj, power=power):
-                at = np.array([xj]), np.array([xi]), np.array([xi / LAW.rms])
-                alive = quenched.survival(barrier_of(barrier, 40.0, 8.0), *at)[0]
-                return float(LAW.pdf(xi)) * float(alive) * (xi / LAW.rms) ** power
+                heat, kappa = barrier_of(barrier, 40.0, 8.0), xi / LAW.rms
+                at = np.array([xj]), np.array([xi]), np.array([heat.b * kappa])
+                hazard = float(np.exp(heat.log_hazard(*at) + heat.log_w)[0])
+                return float(LAW.pdf(xi)) * math.exp(-hazard) * kappa**power
 
             edges = xj + np.append(0.0, np.geomspace(1e-4, 7.0, 60))
             plain = sum(

@@ -131,7 +131,7 @@ def test_without_mobility(mobility, case):
     b: `slack` is several times the sum."""
     n, final, law = case
     life = survival(n, final, mobility, *law)
-    (exact,) = quenched_moments([contacts(Gamma(n), *law)])
+    exact = quenched_moments([contacts(Gamma(n), *law)])
     slack = 10 * mobility * max(law[2], math.sqrt(n + 1.0) / final**2, 1.0)
     assert (
         abs(life.stretch / exact.stretch - 1)

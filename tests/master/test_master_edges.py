@@ -16,21 +16,22 @@ from eqsim import Distribution, Gamma, Table
 from eqsim.laws.barrier import pooled
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master import annealed, flow, quenched
+from eqsim.master.quenched import LifeMoments
 from eqsim.master.survivors import survivor_moments
 
 LAWS = list(itertools.product(["soft", "stiff"], ["uniform", "sqrt"]))
 
 
 def annealed_of(*case):
-    return annealed.annealed_moments([contacts(*case)])[0]
+    return LifeMoments(*np.ravel(annealed.annealed_moments([contacts(*case)])[:4]))
 
 
 def quenched_of(*case):
-    return quenched.quenched_moments([contacts(*case)])[0]
+    return LifeMoments(*np.ravel(quenched.quenched_moments([contacts(*case)])[:4]))
 
 
 def flowing_of(*case):
-    return flow.moments_along_paths(contacts(*case))
+    return LifeMoments(*flow.moments_along_paths(contacts(*case)))
 
 
 def exponent(barrier, x, xi, a):
@@ -313,8 +314,8 @@ def test_quenched_errors_cover_a_refined_result(monkeypatch):
     rules has no say in them."""
     cases = [*scan(SMOOTH + OTHERS, 3), (Gamma(1.0), "uniform", "soft", 1e3, 50.0)]
     found = [quenched_of(*case) for case in cases]
-    monkeypatch.setattr(quenched, "_BIRTHS", np.linspace(-34.7, 6.2, 101))
-    monkeypatch.setattr(quenched, "_CONVERGED", 1e-13)
+    monkeypatch.setattr(quenched, "BIRTHS", np.linspace(-34.7, 6.2, 101))
+    monkeypatch.setattr(quenched, "CONVERGED", 1e-13)
     for case, m in zip(cases, found, strict=True):
         covered(case[0], m, quenched_of(*case))
 

@@ -313,7 +313,7 @@ def test_error_estimates(disorder, monkeypatch):
         master_steady, "lives_of", master_steady.lives_of.__wrapped__
     )  # what is known is not used
     if disorder == "quenched":
-        monkeypatch.setattr(quenched, "_CONVERGED", 1.0)
+        monkeypatch.setattr(quenched, "CONVERGED", 1.0)
     else:
         monkeypatch.setattr(annealed, "_RESOLVED_IN_X", 1.0)
     rough = reference(ensemble, Drive(1e-6))
