@@ -305,9 +305,10 @@ def chain_trajectory(
     threads: Threads,
     progress: Progress | None,
     keep: Keep | None = None,
+    front: Callable[[int], None] | None = None,
 ) -> ChainTrajectory:
     """Simulate `trajectory.trajectory` of a chain of blocks; `keep` is where its states
-    are."""
+    are. `front` is called now and then with the last block that broke."""
     chain, pull = _check(ensemble, programme, output)
     grid, unit = programme.grid(output.points), ensemble.thresholds.scale
     instants = grid.t * (pull.pace / unit)
@@ -326,7 +327,14 @@ def chain_trajectory(
         march(c, 0.0, 0.0, 0, pool.stop)  # compiled now, which is not the engine's time
         begun.append(time.perf_counter())
         here = instants if longer == 1 else instants[coarse_instants(grid.segment)]
-        tell = (lambda breaks, _: told(breaks)) if longer == 1 else (lambda *_: None)
+
+        def tell(breaks: int, _: float) -> None:
+            if longer > 1:
+                return
+            told(breaks)
+            if front and (rows := int(c.course["rows"][0])):
+                front(int(c.broke["block"][rows - 1]))
+
         run = c, pull, here, pool.stop, tell
         place = keep, 2 * replica + (longer > 1)
         if sharing < 2:

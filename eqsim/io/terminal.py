@@ -153,6 +153,25 @@ class _Pace(ProgressColumn):
         return Text(f"{count(task.speed)} {self.unit}/s, {duration(left)} to go")
 
 
+class _Shown:
+    """`progress(done, total)` of a bar, beside which `say` shows a text."""
+
+    def __init__(self, bar: Progress, title: str, unit: str) -> None:
+        self.bar, self.title, self.unit, self.said = bar, title, unit, ""
+        self.task = bar.add_task(title, total=None)
+
+    def say(self, text: str) -> None:
+        self.said = f", {text}"
+
+    def __call__(self, done: int, total: float) -> None:
+        if done == 0:  # an attempt begins
+            self.bar.reset(self.task)
+        text = self.title + self.said
+        if self.unit != "lives":
+            text = f"{self.title} {done}/{total:.0f}"
+        self.bar.update(self.task, completed=done, total=total, description=text)
+
+
 @contextmanager
 def bar(
     title: str, silent: bool, unit: str = ""
@@ -166,13 +185,5 @@ def bar(
     columns = _Doing("{task.description}"), BarColumn(), _Pace(unit)
     how: dict[str, Any] = {"transient": True, "speed_estimate_period": 3600.0}
     shown = Progress(*columns, console=console, **how)
-    task = shown.add_task(title, total=None)
-
-    def progress(done: int, total: float) -> None:
-        if done == 0:  # an attempt begins
-            shown.reset(task)
-        text = title if unit == "lives" else f"{title} {done}/{total:.0f}"
-        shown.update(task, completed=done, total=total, description=text)
-
     with shown:
-        yield progress
+        yield _Shown(shown, title, unit)

@@ -130,7 +130,13 @@ def run_chain(file: RunFile, how: How) -> ChainResult:
     def told(lives: int) -> None:
         how.progress(lives, max(lives, expected))
 
+    def front(block: int) -> None:
+        assert drive.chain
+        say(f"front at block {block + 1} of {drive.chain.count}")
+
+    say = getattr(how.progress, "say", lambda _: None)  # a bar shows it
     guard = guarded(told, expected, how.max_lives)
     with kept(file, how.keep) as states:
-        found = chain_trajectory(ensemble, drive, output, how.threads, guard, states)
+        given = how.threads, guard, states, front
+        found = chain_trajectory(ensemble, drive, output, *given)
     return ChainResult(file, found)
