@@ -160,16 +160,24 @@ def fronts(point: Point, plan: Suite) -> Found:
     rng = point.rng(12)
     K, K_d = (float(10 ** rng.uniform(*ends)) for ends in ((0.7, 1.3), (-2, -1)))
     mass, held = float(point.number % 16 == 7), 1.0 + K_d
-    speed, links = math.sqrt(K) * rng.uniform(0.6, 0.9), {"drive_stiffness": K_d}
+    speed = math.sqrt(K) * rng.uniform(0.6, 0.9)
     prestress, faster = (
-        known(front_prestress(v, K, mass=mass, damping=1.0, **links))
+        known(front_prestress(v, K, mass=mass, damping=1.0, drive_stiffness=K_d))
         for v in (speed, 1.01 * speed)
     )
     plate = prestress * held / K_d
     # the edge is displaced against the springs of its block and of all others
     edge = (held + K * (1.0 - decay(K, held))) * (1.0 - prestress) / (plate - 1.0)
-    links |= {"edge_stiffness": edge, "mass": mass, "tolerance": 1e-3}
-    chain = Chain(_PASSED, K, drive="both", damping=1.0, **links)
+    chain = Chain(
+        _PASSED,
+        K,
+        K_d,
+        drive="both",
+        edge_stiffness=edge,
+        mass=mass,
+        damping=1.0,
+        tolerance=1e-3,
+    )
     loads = (0.98 * plate, 1), (0.04 * plate, 200)  # records, which steps do not pass
     pull = [Segment(_SLOWLY * plate, distance=d, points=n) for d, n in loads]
     found = _run(point, chain, *pull, run=0)

@@ -119,8 +119,9 @@ class Point(NamedTuple):
             return Unscored(kind, *where, "vague")
         score = math.inf if z is None else z
         numbers = known(ours), value, sigma, score
-        pulled = self.stage, self.contacts, self.time, self.chain
-        return Score(kind, *where, *numbers, even, *pulled)
+        pulled: dict[str, Any] = {"stage": self.stage, "count": self.contacts}
+        pulled |= {"time": self.time, "chain": self.chain}
+        return Score(kind, *where, *numbers, even, **pulled)
 
     def uniform(self, share: Array) -> Score:
         """Test whether shares are uniform in (0, 1)."""

@@ -138,12 +138,16 @@ def test_wrong_shares(share):
     [
         (Population(1.0, stiffness=0.0), r"^population.1.stiffness = 0.0: must be"),
         (Population(1.0, thresholds="gamma"), r"^population.1.thresholds = "),
-        (Population(1.0, delay=3.0), r"^population.1.delay = 3.0: must be Delay"),
     ],
 )
 def test_wrong_laws_name_their_population(wrong, said):
     with pytest.raises(InputError, match=said):
         Ensemble(populations=[Population(1.0), wrong])
+
+
+def test_a_population_takes_objects_of_its_types():
+    with pytest.raises(InputError, match=r"^delay = 3.0: must be Delay\("):
+        Population(1.0, delay=3.0)
 
 
 # ---- exact values ----
