@@ -115,7 +115,7 @@ def test_comments_with_quotes_in_tables_of_thresholds_and_measurements(tmp_path)
     file = check({"fit": fit})
     table = read_table(path, file, section_of(file))
     assert table.value.tolist() == [1, 2, 3, 4]
-    assert [row.line for row in table.rows] == [3, 5, 6, 8]
+    assert [one.line for one in table.conditions] == [3, 5, 6, 8]
 
 
 @pytest.mark.parametrize(
