@@ -14,10 +14,15 @@ from scipy import special
 
 from eqsim.laws.barrier import base
 from eqsim.laws.barrier.base import Barrier, Numbers
-from eqsim.numerics import tables
 from eqsim.numerics.compiled import routine
 from eqsim.numerics.quadrature import gauss_legendre
-from eqsim.numerics.tables import Array, look_up
+from eqsim.numerics.tables import (
+    Array,
+    look_up,
+    look_up_all,
+    octave_edges,
+    octave_table,
+)
 from eqsim.numerics.vector_math import FLAT, bounded_exp, log_one_plus
 
 
@@ -72,12 +77,12 @@ def erfi_inverse_table() -> Array:
     """z as a function of s = ln(1 + erfi(z)): linear at small s, sqrt(s) at large s, up
     to s = 2^60. The relative error is below 5e-10."""
     first, last = -30, 60
-    s = tables.octave_edges(first, last)
+    s = octave_edges(first, last)
     target = np.where(s > 40, s, np.log(np.expm1(np.minimum(s, 40))))
     z = np.where(s < 1, s * math.sqrt(math.pi) / 2, np.sqrt(s + 1))
     for _ in range(60):  # Newton for ln erfi, whose derivative is 1/dawsn
         z = np.maximum(z - (log_erfi(z) - target) * special.dawsn(z), z / 4)
-    return tables.octave_table(first, z, special.dawsn(z) / -np.expm1(-s))
+    return octave_table(first, z, special.dawsn(z) / -np.expm1(-s))
 
 
 _LEAST_Z = 2.0**-20  # below it Dawson's function is z, to 1e-12
@@ -88,12 +93,10 @@ _LEAST_Z = 2.0**-20  # below it Dawson's function is z, to 1e-12
 def dawson_table() -> Array:
     """z/dawsn(z) as a function of z: 1 at small z, 2 z^2 at large z, up to 2^40."""
     first, last = -20, 40
-    z = tables.octave_edges(first, last)
+    z = octave_edges(first, last)
     dawson = special.dawsn(z)
     ratio = z / dawson
-    return tables.octave_table(
-        first, ratio, (1.0 - ratio * (1.0 - 2.0 * z * dawson)) / dawson
-    )
+    return octave_table(first, ratio, (1.0 - ratio * (1.0 - 2.0 * z * dawson)) / dawson)
 
 
 # The inverse of (omega/v) H in steps, each of which is a loop of its own where many
@@ -162,7 +165,7 @@ def _stretches(
         rank[i] = _odds(threshold[r, i], root[i], log_w, clock[r, i])
     for i in range(count):
         rank[i] = _rank(threshold[r, i], root[i], log_w, rank[i])
-    tables.look_up_all(table, rank, lives.row, count)
+    look_up_all(table, rank, lives.row, count)
     for i in range(count):
         travel[r, i] = _end(threshold[r, i], per_root[i], rank[i])
 
