@@ -76,8 +76,10 @@ def test_a_slip_needs_short_steps():
 def test_modes_grow_as_the_characteristic_equation_says(mode):
     """Modes of a ring of eight blocks that are even about an edge, as those of four
     with free ends. Half the difference of two perturbations of opposite sign is free of
-    even orders and of what cohorts make by themselves. 2 % of |p|: cohorts and steps of
-    this width leave .5 %; without coupling p is 20 % off or more."""
+    even orders and of what cohorts make by themselves. It is one mode from five units
+    of time on: from two on the smallest rate of growth is 13 % off, whatever the mesh.
+    2 % of growth and of frequency: cohorts and steps of this width leave .8 %; without
+    coupling p is 20 % off or more."""
     drive = Programme(
         [Segment(0.3, distance=4.8)],
         stage=Stage(0.1, damping=0.05),
@@ -92,16 +94,18 @@ def test_modes_grow_as_the_characteristic_equation_says(mode):
             chain_field(WARM, drive, links, 160, offset=x * shape, fine=8.0).X
             for x in (0.006, -0.006)
         )
-        u = ((up - down) @ shape)[20:]
-        before = np.stack([u[10:-10], u[:-20]], axis=1)
-        first, second = np.linalg.lstsq(before, u[20:], rcond=None)[0]
+        u = ((up - down) @ shape)[50:]  # at every tenth of a unit of time
+        before = np.stack([u[20:-20], u[:-40]], axis=1)
+        first, second = np.linalg.lstsq(before, u[40:], rcond=None)[0]
         z = np.roots([1.0, -first, -second]).astype(complex)
-        return np.log(z[np.argmax(z.imag)])
+        return np.log(z[np.argmax(z.imag)]) / 2.0
 
     chain = Chain(8, 0.05, 0.1, damping=0.05, edges="periodic")
     sliding = Programme([Segment(0.3, distance=1.0)], chain=chain)
     modes = chain_modes(WARM, sliding, np.array([0.25 * math.pi * mode]))
     p = complex(modes.growth[0], modes.frequency[0])
-    assert abs(root(0.05) - p) < 0.02 * abs(p)
+    found = root(0.05)
+    assert found.real == pytest.approx(p.real, rel=0.02, abs=0)
+    assert found.imag == pytest.approx(p.imag, rel=0.02, abs=0)
     if mode == 1:
         assert abs(root(0.0) - p) > 0.04 * abs(p)
