@@ -415,6 +415,7 @@ class SliderResult(ProgrammeResult):
                     score = difference(found, known.mean)
                     z = "none" if score is None else terminal.score(score)
                 yield name, found, exact, z
+            yield from self._ends()
             return
         if len(drive.segments) > 1 or not run.slips:
             yield from super().rows()
@@ -430,6 +431,24 @@ class SliderResult(ProgrammeResult):
             yield "...", *[""] * 5
         if run.period.value is not None:
             yield "mean", f"every {run.period}", "", run.drop, "", ""
+
+    def _ends(self) -> Iterator[tuple[Any, ...]]:
+        """Displacement and pinned share at the end of a slider that a force has not
+        torn off, scored where their scatter is known."""
+        run, mean = self.trajectory, self.exact.solution
+        for name in ("X", "pinned"):
+            value, error = getattr(run, name)[-1], getattr(run, f"{name}_stderr")[-1]
+            found = Estimate(float(value), float(error), run.t.size)
+            if not math.isfinite(value):  # it has let go
+                continue
+            exact, z = "", ""
+            if mean is not None:
+                level = getattr(mean, name)[-1], getattr(mean, f"{name}_error")[-1]
+                expected = Estimate(*map(float, level), run.t.size)
+                exact, z = expected, "none"
+                if error > 0.0 and run.force_reliable:
+                    z = terminal.score(difference(found, expected))
+            yield f"{name} at the end", found, exact, z
 
     def doubts(self) -> Iterator[str]:
         """Notes on slips, those that the record cuts, and errors of the force."""
