@@ -33,7 +33,7 @@ import numpy as np
 from eqsim.engine.avalanches import events_of, put_back
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import draw_birth
-from eqsim.engine.slider import CONTACT, delay_of, find_stationary
+from eqsim.engine.slider import CONTACT, delay_of, find_stationary, no_end_of_slip
 from eqsim.errors import InputError
 from eqsim.laws.barrier.base import height, prefactor, rate
 from eqsim.laws.stiffness import kappa
@@ -53,6 +53,7 @@ _NO_ONE = -1  # in the place of a contact
 _FOLLOWED_TOGETHER = 1 << 15  # contacts of replicas in one call, which bounds its time
 MOST_CONTACTS = 20_000  # of a slider that is followed event by event
 _TOLD_AFTER = 0.1  # seconds between calls of `progress`
+_ENDLESS = 100_000, 20  # breaks of a slip without end, and more for each contact
 
 # A slider at an instant, and what it has taken so far.
 SLIDER = np.dtype(
@@ -82,6 +83,7 @@ SLIDER = np.dtype(
         ("begun", np.bool_),
         ("done", np.bool_),
         ("unbounded", np.bool_),  # a rate was above its bound
+        ("endless", np.bool_),  # a slip did not end
     ],
     align=True,
 )
@@ -360,9 +362,11 @@ def _settle(drive: Driving, bonds: Bonds, now: Any, changed: bool) -> None:
     """Move a slider that nothing slows down into balance, and break what breaks on the
     way. The window is renewed if contacts have `changed` that are not next."""
     jumps = drive.stall == math.inf or drive.stiffness > 0.0
+    most = now.breaks + _ENDLESS[0] + _ENDLESS[1] * bonds.bound.size
     while jumps and drive.stop[0] == 0:
         elastic = drive.stiffness + now.stiffness
-        if elastic == 0.0:
+        now.endless = now.breaks > most and drive.stiffness == 0.0
+        if elastic == 0.0 or now.endless:
             now.lifetime = now.time + now.waited
             return
         net = drive.stiffness * now.spring + _applied(drive, now) - _held(now)
@@ -621,6 +625,8 @@ def follow_events(
             left = wait(left, timeout=_TOLD_AFTER, return_when=FIRST_COMPLETED)[1]
             told(int(sliders["breaks"].sum()) + replicas * count)
         bursts = np.concatenate([each.result() for each in pending])
+    if sliders["endless"].any():
+        raise no_end_of_slip()
     if sliders["unbounded"].any():
         said = "its rate has to be greatest at an end of any range of stretches"
         raise InputError(f'thermal.barrier = "{ensemble.thermal.barrier}": {said}')

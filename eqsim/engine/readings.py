@@ -56,6 +56,9 @@ def _falls(
     return found
 
 
+_ROUNDING = 1e-14  # of a sum of forces, over its terms
+
+
 class Forces(NamedTuple):
     """Force along a grid, of which segments are summarised, arrays (points,)."""
 
@@ -73,18 +76,24 @@ class Forces(NamedTuple):
 
     def change(self, *terms: tuple[int, float], more: float = 0.0) -> Estimate:
         """A sum of forces at instants times weights, with its standard error, `more` in
-        quadrature."""
+        quadrature. It is 0 where it is no more than rounding."""
         points, weights = zip(*terms, strict=True)
         index, place = np.unique(points, return_inverse=True)
         weight = np.bincount(place, weights)
         value, n = float(self.force[index] @ weight), self.force.size
         if self.parts is None:
             error = float(np.linalg.norm(weight * self.stderr[index]))
-            return Estimate(value, math.hypot(error, more), n)
-        known = mean_of(self.parts[:, index] @ weight, n, len(self.parts) - 1)
-        if self.missed is not None:
-            more = math.hypot(more, *weight * self.missed[index])
-        return replace(known, value=value, stderr=math.hypot(known.stderr or 0.0, more))
+            found = Estimate(value, math.hypot(error, more), n)
+        else:
+            known = mean_of(self.parts[:, index] @ weight, n, len(self.parts) - 1)
+            if self.missed is not None:
+                more = math.hypot(more, *weight * self.missed[index])
+            error = math.hypot(known.stderr or 0.0, more)
+            found = replace(known, value=value, stderr=error)
+        rounding = _ROUNDING * float(np.abs(self.force[index]) @ np.abs(weight))
+        if max(abs(value), found.stderr or 0.0) <= rounding:
+            return replace(found, value=0.0, stderr=0.0)
+        return found
 
     def apart(self, point: int) -> Array:
         """Standard errors of the differences from the force at a point, (points,); its

@@ -38,6 +38,7 @@ from eqsim.engine.lanes import delay_after, delay_of_the_first, draw_birth
 from eqsim.engine.recorder import Snapshot
 from eqsim.engine.segments import begin_stationary
 from eqsim.engine.stationary import stationary
+from eqsim.errors import InputError
 from eqsim.laws.aging import Unaged
 from eqsim.laws.aging.base import Held, growth, spend, stiffness_varies
 from eqsim.laws.barrier import Mechanical
@@ -60,6 +61,7 @@ FIRST_STEP = 1e-6  # as a share of the first segment
 _HALVINGS = 30  # of a step, until a slider without damping and mass slips at an instant
 SHORTEST_STEP = 1e-200  # of a slider that damping or a mass limits
 _SLIP_DURATION = 1e-40  # over its displacement, so short that no contact ages
+_ENDLESS = 1e2, 1e3, 1e5  # mean thresholds of a slip without end: least, most, times N
 NOISE = 2.0  # standard errors of breaks in a step, which no shorter step would reduce
 _TOLERANCE = 1e-4  # of a slider without a stage, the default of a stage
 _STANDING = 1e-200  # speed over the pace of a motor that is switched off
@@ -327,6 +329,14 @@ def find_stationary(
             drawn[name] = getattr(snapshot, name)
 
 
+def no_end_of_slip() -> InputError:
+    """Error of a slider that a force moves on for ever, at an instant."""
+    return InputError(
+        "drive.force: contacts that form again at once do not hold it, and nothing "
+        "limits the velocity; take a smaller force, or a delay.time"
+    )
+
+
 class Followed(NamedTuple):
     """The contacts of one kind. Stretches and time are in units of their own law."""
 
@@ -396,6 +406,9 @@ class Slider:
         unaged = [isinstance(x.laws.aging, Unaged) for x in self.groups]
         self.waits = not all(barriers + unaged)
         self.endless = all(x.laws.delay.mean == math.inf for x in self.groups)
+        least, most, breaks = _ENDLESS
+        self.endless_slip = max(least, min(most, breaks / self.count)) * mean / unit
+        self.slipped = 0.0  # so far, in a slip that goes on
         self.segment = 0
         self.acceleration = 0.0
         self.behind = Behind()
@@ -547,6 +560,7 @@ class Slider:
             dX, V = self._estimate(dt, speed)
         if abs(dX) > longest:
             return self._slip()
+        self.slipped = 0.0
         sums = self._follow(Piece(dt, abs(dX) / dt, math.copysign(1.0, dX)))
         change = (now.sums.stiffness + self.breaks.rho) * dX + self.breaks.r * dt
         missed = sums.force - now.sums.force - change
@@ -598,6 +612,8 @@ class Slider:
 
     def _slip(self) -> State:
         """Move towards balance in a piece that takes no time."""
+        if self.slipped > self.endless_slip and not self.pull.stiffness:
+            raise no_end_of_slip()
         now = self.state
         net = self.pull.stiffness * (now.Y - now.X) - now.sums.force
         net += self._applied(now.time)
@@ -611,6 +627,7 @@ class Slider:
         work = sums.stored - now.sums.stored + sums.lost
         self._account(dt, dX, 0.0, 0.0, sums, work / dX)
         self.behind = Behind()
+        self.slipped += abs(dX)
         self.breaks.add(dX, dt, sums, self.count)
         return self.state
 

@@ -11,6 +11,7 @@ arrays, which would take longer than their work; so they must not make arrays.
 """
 
 import functools
+import gc
 import hashlib
 import typing
 from collections.abc import Callable, Hashable
@@ -28,6 +29,7 @@ __all__ = ["by_law", "fma", "kernel", "routine"]
 Body = TypeVar("Body", bound=Callable[..., Any])
 _PLAIN = {"error_model": "numpy", "no_cfunc_wrapper": True}
 _INLINED = {**_PLAIN, "forceinline": True, "_nrt": False}
+_RARELY = 100_000  # objects between collections, a tenth of the time of compiling
 
 
 class Kernel:
@@ -78,16 +80,21 @@ def _kind(value: Any) -> Any:
 def _compiled(function: Any, signature: tuple[Any, ...], folder: Path | None) -> Any:
     """A dispatcher for one signature, from a folder or saved there if there is one."""
     options = {**_PLAIN, "nogil": True}
-    if folder is not None:
-        previous = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(folder)
-        try:
-            return numba.njit(signature, cache=True, **options)(function)
-        except (OSError, RuntimeError):  # the disk is full, or the folder was removed
-            pass
-        finally:
-            numba.config.CACHE_DIR = previous
-    return numba.njit(signature, **options)(function)
+    collects = gc.get_threshold()
+    gc.set_threshold(_RARELY, *collects[1:])
+    try:
+        if folder is not None:
+            previous = numba.config.CACHE_DIR
+            numba.config.CACHE_DIR = str(folder)
+            try:
+                return numba.njit(signature, cache=True, **options)(function)
+            except (OSError, RuntimeError):  # the disk is full, or the folder is gone
+                pass
+            finally:
+                numba.config.CACHE_DIR = previous
+        return numba.njit(signature, **options)(function)
+    finally:
+        gc.set_threshold(*collects)
 
 
 def kernel(function: Callable[..., Any]) -> Kernel:

@@ -441,14 +441,14 @@ class SliderResult(ProgrammeResult):
             found = Estimate(float(value), float(error), run.t.size)
             if not math.isfinite(value):  # it has let go
                 continue
-            exact, z = "", ""
+            expected, z = "", ""
             if mean is not None:
                 level = getattr(mean, name)[-1], getattr(mean, f"{name}_error")[-1]
-                expected = Estimate(*map(float, level), run.t.size)
-                exact, z = expected, "none"
-                if error > 0.0 and run.force_reliable:
-                    z = terminal.score(difference(found, expected))
-            yield f"{name} at the end", found, exact, z
+                exact = Estimate(float(level[0]), float(level[1]), run.t.size)
+                scored = error > 0.0 and run.force_reliable
+                z = terminal.score(difference(found, exact)) if scored else "none"
+                expected = str(exact)
+            yield f"{name} at the end", found, expected, z
 
     def doubts(self) -> Iterator[str]:
         """Notes on slips, those that the record cuts, and errors of the force."""
