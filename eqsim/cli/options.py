@@ -119,6 +119,8 @@ class Shown:
                 files = result.files(name, formats)
             storage.publish(out, files)
             more = [f"{out}/: {result.written(list(files))}"]
+            if left := storage.left_over(out, result.command, files):
+                more.append(f"{out}/ also holds {', '.join(left)} of an earlier run")
         result.report(name, *more).show(self.json, self.quiet)
 
 

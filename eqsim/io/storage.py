@@ -136,6 +136,24 @@ def from_parquet(content: bytes) -> Any:
         return None
 
 
+def left_over(folder: Path, command: str, written: dict[str, bytes]) -> list[str]:
+    """Names of the tables in a folder that an earlier call of the same command has left
+    there and that were not `written` again."""
+    from pyarrow import ArrowException
+    from pyarrow import parquet as pq
+
+    found = []
+    for path in sorted(folder.glob("*.parquet")):
+        if path.name in written:
+            continue
+        try:
+            origin = json.loads((pq.read_schema(path).metadata or {})[b"eqsim"])
+            found += [path.name] * (origin["command"] == command)
+        except (OSError, ArrowException, ValueError, LookupError):  # none of ours
+            continue
+    return found
+
+
 def check_folder(folder: Path) -> None:
     """Raise InputError unless files can be written to `folder`, made by then or not."""
     parents = (folder, *folder.absolute().parents)

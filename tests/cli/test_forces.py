@@ -149,3 +149,43 @@ def test_a_run_under_a_force_tells_when_it_lets_go(tmp_path):
     assert (
         0.95 < found["value"] / bursts(path).strength < 1.05
     )  # a weakest link, N = 5000
+
+
+HELD = """
+[contacts]
+count = 2000
+stiffness_law = "uniform"
+[drive]
+force = 0.5
+time = 10.0
+[output]
+points = 3
+replicas = 8
+"""
+
+
+def test_a_slider_that_a_force_does_not_tear_off_shows_where_it_stands(tmp_path):
+    path = tmp_path / "held.toml"
+    path.write_text(HELD)
+    said = call("run", path, "--out", tmp_path / "out").stdout
+    assert "0 of 8 replicas let go" in said
+    X, pinned = (
+        next(line for line in said.splitlines() if f"{name} at the end" in line)
+        for name in ("X", "pinned")
+    )
+    z = float(X.split("│")[4])
+    assert abs(z) < 4.5  # false alarm 7e-6
+    assert "exact" not in pinned
+
+
+def test_a_slip_without_end_is_refused(tmp_path):
+    """By events, and step by step of more contacts; a spring ends any slip."""
+    path = tmp_path / "torn.toml"
+    path.write_text(HELD.replace("force = 0.5", "force = 2.0"))
+    few = call("run", path, "--out", tmp_path / "out")
+    more = "--set", "contacts.count=20_001", "--set", "output.replicas=1"
+    many = call("run", path, "--out", tmp_path / "out", *more, "--no-exact")
+    for found in (few, many):
+        assert found.exit_code == 2
+        assert found.stderr.startswith("eqsim: drive.force: contacts that form again")
+    assert not (tmp_path / "out" / "summary.json").exists()

@@ -355,3 +355,13 @@ def test_fluctuations_that_there_are_none_of(tmp_path, change, message):
     assert done.stderr.startswith(f"eqsim: {message}")
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_tables_of_an_earlier_run_are_named(tmp_path):
+    """A folder may still hold tables that this run does not write."""
+    path, out = tmp_path / "run.toml", tmp_path / "out"
+    path.write_text(RUN)
+    first = call("run", path, "--out", out, "--set", "output.breaks=true")
+    again = call("run", path, "--out", out)
+    assert "earlier run" not in first.stdout
+    assert f"{out.name}/ also holds breaks.parquet" in again.stdout.replace("\n", "")
