@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import chosen
 
 from eqsim import (
     Delay,
@@ -92,7 +93,7 @@ def test_a_run_of_a_bundle():
     )
 
 
-@pytest.mark.parametrize("bundle", [BUNDLE, WARM])
+@chosen("bundle", [BUNDLE, WARM], [BUNDLE])
 def test_a_programme(bundle):
     """There and back with a hold, 1e5 contacts: |z| < 4.5 in the errors of both, which
     a delay of 2 thresholds exceeds."""

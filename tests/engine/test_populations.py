@@ -258,7 +258,10 @@ def test_one_population_is_the_ensemble_to_the_last_bit(drive):
         assert np.array_equal(column, theirs.columns()[name], equal_nan=True), name
 
 
-@pytest.mark.parametrize("newborn", [Newborn(), Newborn("normal", mean=0.1, std=0.05)])
+BIRTHS = [Newborn(), Newborn("normal", mean=0.1, std=0.05)]
+
+
+@chosen("newborn", BIRTHS, BIRTHS[:1])
 def test_steady_averages(newborn):
     """60 seeds, each observable's chi-square on both sides (p > 1e-4) and |z| < 4.5; the
     control averages over contacts what are means over breaks."""
@@ -445,6 +448,7 @@ def missed(contacts, alone, drive=SLIDES):
     return max(np.abs(getattr(ours, x) - getattr(theirs, x)).max() for x in names)
 
 
+@pytest.mark.verification
 def test_the_mean_field_of_identical_populations_is_that_of_one():
     """Steps are the same up to rounding, which moves their ends and with it what they
     miss, by less than 1e-10 of lengths of about 1; stiffer contacts are others."""

@@ -246,6 +246,7 @@ def test_a_stiff_spring_is_a_rigid_slider():
     assert stiff.slips == ()
 
 
+@pytest.mark.verification
 def test_thresholds_grow_behind_a_stiff_spring():
     """Contacts whose thresholds double are those of a rigid slider, and F differs as in
     the test above, with breaks at up to 7."""

@@ -390,7 +390,7 @@ MOTIONS = {
 @chosen(
     ("name", "motion"),
     itertools.product(HELD, MOTIONS),
-    [("soft", "slow"), ("annealed", "jitter")],
+    [("soft", "slow")],
 )
 def test_slow_segments_are_holds(name, motion):
     """A velocity of 1e-18 or -1e-25, and a drive that jitters by 1e-16 to 1e-19 of a

@@ -131,6 +131,7 @@ def test_engine_on_a_ramp(case):
         assert abs(z_score(found.friction, friction, 0.0)) > 4.5
 
 
+@pytest.mark.verification
 def test_a_long_hold_leaves_the_start_steady():
     """Bonds before it live at the speed of the start, and grids are those of that
     speed, not of the mean one of the whole programme."""
@@ -302,7 +303,6 @@ def segments(v, x):
     ("name", "drive"),
     [(name, drive) for name in SHAPES for drive in DRIVES],
     [
-        ("bell", "stage"),
         ("catch-slip", "programme"),
         ("cusp", "constant"),
     ],

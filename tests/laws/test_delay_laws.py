@@ -190,7 +190,7 @@ WARM = Ensemble(
 )  # fmt: skip
 
 
-@chosen("law", [GAMMA, LOGNORMAL], [LOGNORMAL])
+@chosen("law", [GAMMA, LOGNORMAL], [])
 def test_transients(law):
     """1e5 contacts, some 1e5 lives: |z| < 4.5, from a fresh and from a stationary
     start. Negative control: an exponential delay of the same mean, from a fresh

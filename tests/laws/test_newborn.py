@@ -469,15 +469,7 @@ def by_engine(c, count=100_000):
     return trajectory(ensemble, Programme(segments), points=8, seed=17, threads=2)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        name
-        if name == "lengths, stiff, delay"
-        else pytest.param(name, marks=pytest.mark.verification)
-        for name in CASES
-    ],
-)
+@chosen("name", CASES, [])
 def test_time_steps_agree(name):
     """Through a hold, reversals and steps, and at constant velocity: |z| < 4.5 beyond
     what extrapolation leaves, of the second order in a step: (0.02/0.2)^2 of the

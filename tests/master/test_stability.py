@@ -504,6 +504,7 @@ def test_border_by_kicks():
     assert found.stderr < 0.02 * found.value
 
 
+@pytest.mark.verification
 def test_heat_stabilises():
     """Contacts that heat breaks, too, strengthen with velocity: no delay, no
     instability."""
@@ -539,7 +540,7 @@ def test_border_with_heat(disorder, velocity, known):
     ("stiffness", "root"),
     [(0.129289, 0.081381 + 0.62847j), (0.2, -0.008875 + 0.727697j),
      (0.270711, -0.073198 + 0.786685j)],
-    [(0.2, -0.008875 + 0.727697j)],
+    [],
 )  # fmt: skip
 def test_roots_with_heat(stiffness, root):
     """The modes of a ring of 8 blocks, known from another program."""
