@@ -223,6 +223,7 @@ BIRTHS = {
         for law in ("own", "delta", "gamma")
         for births in BIRTHS
         for disorder in ("quenched", "annealed")
+        if (law, births) != ("delta", "normal")  # born beyond the threshold
     ],
     [
         ("bell", "own", "normal", "quenched"),
