@@ -187,11 +187,13 @@ def test_command(suite, tmp_path, monkeypatch):
         table[name].to_numpy() for name in ("value", "reference", "sigma", "z", "even")
     )
     # a score has the sign of engine less master, and its size but for what few batches
-    # make of it
+    # make of it: 3 of 15 degrees of freedom is 2.56 of a normal number
     compared = table["kind"].to_numpy() != "hazard law"
     plain = ((ours - exact) / sigma)[compared]
     assert np.all(z[compared] * plain >= 0)
-    np.testing.assert_allclose(z[compared], plain, rtol=0.2, atol=0)
+    near = np.abs(plain) < 3.0
+    np.testing.assert_allclose(z[compared][near], plain[near], rtol=0.2, atol=0)
+    assert np.all(np.abs(z[compared]) <= np.abs(plain) * (1 + 1e-12))
     assert even.sum() == sum(v["even"] for v in summary["verdicts"]) > 3 * suite.points
     z = z[even]
     np.testing.assert_allclose(np.var(z), 1.0, rtol=0, atol=5 * math.sqrt(2 / z.size))
