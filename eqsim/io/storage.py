@@ -128,6 +128,13 @@ def read_parquet(content: bytes, checksums: bool = False) -> Any:
     return table
 
 
+def origin_of(schema: Any) -> dict[str, Any]:
+    """The provenance in the pyarrow schema of a table. Raises KeyError without one, and
+    ValueError if it is damaged."""
+    found: dict[str, Any] = json.loads((schema.metadata or {})[b"eqsim"])
+    return found
+
+
 def from_parquet(content: bytes) -> Any:
     """The pyarrow table of a Parquet file with checksums; None if it is damaged."""
     try:
@@ -147,7 +154,7 @@ def left_over(folder: Path, command: str, written: dict[str, bytes]) -> list[str
         if path.name in written:
             continue
         try:
-            origin = json.loads((pq.read_schema(path).metadata or {})[b"eqsim"])
+            origin = origin_of(pq.read_schema(path))
             found += [path.name] * (origin["command"] == command)
         except (OSError, ArrowException, ValueError, LookupError):  # none of ours
             continue

@@ -160,7 +160,7 @@ def read_sweep(folder: Path) -> Sweep:
         raise InputError(f"{folder}: holds no point yet{of}")
     file = None
     with suppress(InputError, ValueError, KeyError, TypeError):
-        origin = json.loads((found.schema.metadata or {})[b"eqsim"])
+        origin = storage.origin_of(found.schema)
         file = stored(origin["settings"]["sweep"], origin["folder"])
     return Sweep(table, file, planned)
 

@@ -301,7 +301,7 @@ class Store:
     def _origin(self) -> dict[str, Any]:
         """The provenance of the first rows, with the versions that any rows were
         computed with."""
-        every = [json.loads(table.schema.metadata[b"eqsim"]) for table in self.tables]
+        every = [storage.origin_of(table.schema) for table in self.tables]
         used = {
             name: sorted({origin["versions"][name] for origin in every})
             for name in every[0]["versions"]

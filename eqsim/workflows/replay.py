@@ -2,7 +2,6 @@
 bit by bit."""
 
 import dataclasses
-import json
 import tempfile
 from collections.abc import Callable, Mapping
 from math import isnan, nan
@@ -132,7 +131,7 @@ def _replayed_table(path: Path, repeat: Mapping[str, Repeat]) -> tuple[Table, Or
     origin: Any = {}
     try:
         table = storage.read_parquet(content)
-        origin = json.loads((table.schema.metadata or {})[b"eqsim"])
+        origin = storage.origin_of(table.schema)
         parts = origin["settings"], origin["versions"]
         command = origin["command"] if all(isinstance(x, dict) for x in parts) else None
         if command in repeat:
