@@ -31,7 +31,7 @@ class Group(NamedTuple):
 
 
 def groups(ensemble: Ensemble, drive: Drive | Programme) -> list[Group]:
-    """What decides the regime of a run; along a programme velocity is that of the
+    """List what decides the regime of a run; along a programme velocity is that of the
     fastest segment. Several kinds of contacts are numbered. Raises InputError."""
     if ensemble.populations:
         way, found = over_distance(drive, ensemble), list[Group]()

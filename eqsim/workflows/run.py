@@ -415,7 +415,7 @@ class SliderResult(ProgrammeResult):
                     score = difference(found, known.mean)
                     z = "none" if score is None else terminal.score(score)
                 yield name, found, exact, z
-            yield from self._ends()
+            yield from self._standing()
             return
         if len(drive.segments) > 1 or not run.slips:
             yield from super().rows()
@@ -432,7 +432,7 @@ class SliderResult(ProgrammeResult):
         if run.period.value is not None:
             yield "mean", f"every {run.period}", "", run.drop, "", ""
 
-    def _ends(self) -> Iterator[tuple[Any, ...]]:
+    def _standing(self) -> Iterator[tuple[Any, ...]]:
         """Displacement and pinned share at the end of a slider that a force has not
         torn off, scored where their scatter is known."""
         run, mean = self.trajectory, self.exact.solution
@@ -441,14 +441,12 @@ class SliderResult(ProgrammeResult):
             found = Estimate(float(value), float(error), run.t.size)
             if not math.isfinite(value):  # it has let go
                 continue
-            expected, z = "", ""
+            exact = None
             if mean is not None:
                 level = getattr(mean, name)[-1], getattr(mean, f"{name}_error")[-1]
                 exact = Estimate(float(level[0]), float(level[1]), run.t.size)
-                scored = error > 0.0 and run.force_reliable
-                z = terminal.score(difference(found, exact)) if scored else "none"
-                expected = str(exact)
-            yield f"{name} at the end", found, expected, z
+            scored = error > 0.0 and run.force_reliable
+            yield _beside_expected(Row(f"{name} at the end"), found, exact, scored)
 
     def doubts(self) -> Iterator[str]:
         """Notes on slips, those that the record cuts, and errors of the force."""

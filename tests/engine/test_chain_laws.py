@@ -110,7 +110,7 @@ UNIFORM = Chain(4, 2.0, 0.5, damping=0.5, bulk_damping=0.1, tolerance=1e-3)
 
 @OF_EACH_LAW
 def test_energy_is_kept(law):
-    """As in `test_chain`, up to the rounding of some 1e3 steps."""
+    """Energies balance as in `test_chain`, up to the rounding of some 1e3 steps."""
     pulled = replace(UNIFORM, drive="both", edge_stiffness=1.0, mass=0.5)
     run = trajectory(LAWS[law], programme(pulled, 30.0, 0.3), points=11, replicas=2)
     work, stored, taken, missed = run.energy.T
