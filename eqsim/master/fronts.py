@@ -59,6 +59,12 @@ _LEAST_DIFFERENCE = 0.03
 # Deviation of the barrier from a straight line over a step, beyond which the step is
 # taken in halves; from half of it on both values are blended.
 _STRAIGHTNESS = 0.01
+# Share r of z at the older edge that the newer one is given if z ends at 0 there:
+# (1 - r)/-ln r = 1/2, which is the mean of z over its largest.
+_OF_OLDER = 0.203188
+# How much more of it per z at the newer edge: right if that is half as large, and 2 %
+# off in the mean of z in between.
+_OF_NEWER = 0.6848
 # Substeps of the births of a step where thresholds grow.
 _SUBSTEPS_OF_BIRTHS = 12
 
@@ -292,11 +298,23 @@ def _bear(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
         cohort.stiffness2 += unbroken * strata.share[2, k] * second
 
 
+@routine
+def _raise_youngest(z: Array, newer: Array) -> None:
+    """Raise ln z at the newer edge of a cohort of newborn contacts, so that a plane of
+    ln z up to the older edge, whose hazard is `z`, has the mean of a z that grows
+    evenly with age: that ends at 0, and ln z at -oo."""
+    for k in range(z.size):
+        risen = _OF_OLDER * z[k] + _OF_NEWER * math.exp(newer[k])
+        newer[k] = max(newer[k], math.log(max(risen, 1e-300)))
+
+
 @carry.register(Fronts)
 def _carry(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
     cohort, z, scratch = cohorts.rows[row], cohorts.z[row], cohorts.scratch
     _add_hazard(contacts, cohort, z, step)
     _logarithms(z, scratch.older)
+    if step.t1 - cohort.t_last < cohort.t_last - cohort.t_first:
+        _raise_youngest(z, scratch.newer)
     g = growth(contacts.growth.law, step.t1 - 0.5 * (cohort.t_first + cohort.t_last))
     _find_pinned_by_strata(contacts, cohort, scratch.older, scratch.newer, g)
     copy(scratch.older, scratch.newer)

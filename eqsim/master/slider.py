@@ -314,16 +314,22 @@ def pull(
             dX, V = driven(spring, now, way.speeds[k], way.rates[k], dt)
             # a motor on a rigid substrate moves against its damping, not to balance
             rough = tries == _TRIALS and way.dampings[k] > 0.0
+            unsettled = tries == _TRIALS and not rough
             instant = not abs(dX) <= 1.5 * path.width
-            instant = instant or (tries == _TRIALS and not rough)
             if given:
                 instant = choices.steps[m].instant
                 if not instant and not abs(dX) <= _FARTHER * path.width:
                     return Slide(total, Y, velocity, m, False, False)
-            elif (instant and dt > shortest) or (rough and dt > _ROUGH * longest):
+            elif ((instant or unsettled) and dt > shortest) or (
+                rough and dt > _ROUGH * longest
+            ):
                 dt, last, tries = 0.5 * dt, False, 0
                 guess = r + 0.5 * bend * (dt + dt_before)
                 continue
+            else:
+                # a damping or a mass holds the slider in a step that cannot be shorter
+                held_back = spring.heat and damping + spring.mass > 0.0
+                instant = instant or (unsettled and not held_back)
             if instant:
                 # nothing holds the slider: it moves towards balance in no time
                 size = path.width * 0.5**halvings
@@ -364,7 +370,7 @@ def pull(
                 tries = _TRIALS if instant or dt <= shortest else 0
                 dt, last, guess = 0.5 * dt, False, r
                 continue
-            if not spring.heat or instant or rough:
+            if not spring.heat or instant or rough or unsettled:
                 break
             if given and (tries == choices.steps[m].trials or missed == missed_before):
                 break

@@ -206,7 +206,9 @@ def test_means_between_steps():
 @pytest.mark.verification
 def test_steps_that_end_at_fewer_instants(monkeypatch):
     """A velocity step behind a spring, with heat and thresholds that grow as ln t: the
-    mean field agrees with that whose steps end at all instants."""
+    mean field agrees with that whose steps end at all instants, to a third of the error
+    quoted, the difference to a solve of twice the steps: what a method of second order
+    misses itself. Instants between steps may add no more than that error again."""
     contacts = Ensemble(
         thermal=Thermal(0.1),
         aging=Aging("logarithmic", beta=0.05, cutoff_time=0.1),
@@ -217,6 +219,6 @@ def test_steps_that_end_at_fewer_instants(monkeypatch):
     found = transient(contacts, drive, 701)
     monkeypatch.setattr(slider, "_MARKS", 1000)
     other = transient(contacts, drive, 701)
-    assert worst(found.force, other.force, other.force_error) < 0.1
-    assert worst(found.X[1:], other.X[1:], other.X_error[1:]) < 0.1
-    assert np.all(found.force_error < 1.2 * other.force_error)
+    assert worst(found.force, other.force, other.force_error) < 1.0 / 3.0
+    assert worst(found.X[1:], other.X[1:], other.X_error[1:]) < 1.0 / 3.0
+    assert np.all(found.force_error < 2.0 * other.force_error)

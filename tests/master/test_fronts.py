@@ -1,12 +1,16 @@
 """The share of a cell and a stratum that heat has broken, against sums to many digits
 and a plain average."""
 
+import math
+
 import mpmath as mp
 import numpy as np
 import pytest
 from kernels import compiled
 
-from eqsim.master import fronts
+from eqsim import Delay, Ensemble, Gamma, NoThresholds, Programme, Segment, Thermal
+from eqsim.master import cohorts, fronts
+from eqsim.master.programme import course_of, numerics_of
 
 
 @pytest.mark.parametrize("y", [-30.0, -6.5, -5.5, 0.0, 2.25, 4.0])
@@ -54,3 +58,30 @@ def test_share_of_small_differences(middle, differences):
     exact = weights @ -np.expm1(-np.exp(y)) @ weights
     found = compiled(fronts._broken)(fronts.table_of_w(), middle, *differences)
     assert found == pytest.approx(exact, rel=0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("law", "heat"),
+    [
+        (
+            NoThresholds(1.0),
+            Thermal(barrier="bell", off_rate=1.0, force_scale=math.inf),
+        ),
+        (Gamma(2.0), Thermal(kT=0.3, attempt_frequency=20.0)),
+    ],
+    ids=["constant rate", "gamma"],
+)
+def test_a_short_step_after_longer_ones(law, heat):
+    """In a step of 1e-9 of the whole time some 1e-9 of the contacts break or are born,
+    whatever step came before. A plane of ln z down to the newest contacts would take
+    those of the step before for too strong: 3e-3 of all contacts would be pinned again.
+    Allowed is what is missed of their hazard z < .3 in second order, .02 z^2 of births
+    that are a tenth."""
+    drive = Programme([Segment(0.2, time=1.0)])
+    contacts, course = course_of(Ensemble(law, heat, Delay(0.3)), drive)
+    numerics = numerics_of(contacts, course, 1.0)
+    t = np.append(np.linspace(0.0, 0.9, 10), 0.9 + 1e-9)
+    path = numerics.path(t, course.at(t), 1.0)
+    pinned = cohorts.march(numerics.contacts(1.0), path).pinned
+    assert pinned[9] < 0.9
+    assert abs(pinned[10] - pinned[9]) < 2e-4
