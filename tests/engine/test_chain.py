@@ -471,6 +471,66 @@ def test_fronts_are_straight_lines():
     assert none["speed"].size == 0
 
 
+def test_errors_of_fronts_have_the_unit_of_their_speed():
+    """Ten blocks that break 0.1 too early and too late by turns, in seconds and in
+    milliseconds: the slope of their line has the error sigma/sqrt(sum (j - <j>)^2) with
+    sigma^2 the mean square of what is off over 8 degrees of freedom. Where times are off
+    by ten blocks the slope is within two of its errors, and there is no front."""
+    j = np.arange(10)
+    off = 0.1 * (-1.0) ** j
+    rows = {"replica": 0 * j, "event": 0 * j, "block": j}
+    slope, _ = np.polyfit(j, 0.5 * j + off, 1)
+    left = 0.5 * j + off - np.polyval(np.polyfit(j, 0.5 * j + off, 1), j)
+    error = math.sqrt(left @ left / 8.0 / np.sum((j - 4.5) ** 2))
+    for unit in (1.0, 1e3):
+        found = fronts_of(rows | {"t": unit * (0.5 * j + off)})
+        speed, stderr = 1.0 / (unit * slope), error / slope**2 / unit
+        assert found["speed"].tolist() == [pytest.approx(speed, rel=1e-12, abs=0)]
+        assert found["speed_stderr"].tolist() == [
+            pytest.approx(stderr, rel=1e-9, abs=0)
+        ]
+    wild = 0.05 * j - 5.0 * off
+    assert np.polyfit(j, wild, 1)[0] > 0.0
+    assert fronts_of(rows | {"t": wild})["speed"].size == 0
+
+
+def test_fronts_are_named_by_the_speed_of_waves():
+    """c = sqrt(K/M) = 4: below a tenth of it they are slow."""
+    damped = Chain(2, 32.0, 0.25, damping=1.0)
+    run = trajectory(HOT, programme(damped, 0.1), points=2)
+    assert run.kind_of(100.0) == "overdamped"
+    light = replace(run, chain=replace(damped, mass=2.0))
+    found = [light.kind_of(speed) for speed in (0.39, 0.41, 3.9, 4.1)]
+    assert found == ["slow", "fast", "fast", "supersonic"]
+
+
+def test_means_over_events_and_slip():
+    """Of events and displacements of two replicas that are given: those of all blocks
+    count without the first of each, and the others are precursors."""
+    chain = Chain(2, 1.0, 0.25, damping=0.5)
+    run = trajectory(HOT, programme(chain, 1.0), points=3, replicas=2)
+    events = {
+        "replica": np.repeat([0, 1], 4),
+        "t": np.array([1.0, 2.0, 4.0, 7.0, 1.0, 3.0, 3.5, 6.0]),
+        "blocks": np.array([2, 1, 2, 2, 2, 2, 1, 2]),
+        "peak": np.array([9.0, 8.0, 1.0, 2.0, 9.0, 4.0, 8.0, 5.0]),
+        "drop": np.array([9.0, 8.0, 0.1, 0.3, 9.0, 0.2, 8.0, 0.6]),
+    }
+    X = np.array([[[0.0, 2.0], [0.0, 2.0], [8.0, 2.0]], [[0.0, 4.0]] * 3])
+    found = replace(run, events=events, blocks=run.blocks | {"X": X.ravel()})
+    assert found.static_friction.value == 3.0
+    assert found.static_friction.stderr == pytest.approx(
+        np.std([1, 2, 4, 5], ddof=1) / 2.0, rel=1e-12, abs=0
+    )
+    assert not found.static_friction.reliable
+    assert found.recurrence.value == 3.0
+    assert found.drop.value == pytest.approx(0.3, rel=1e-12, abs=0)
+    assert found.precursors.value == 0.5
+    assert found.gini == 0.75  # all slip is that of one block at one instant of two
+    rough = np.sqrt([2.5, 2.5, 6.5])
+    assert found.roughness == pytest.approx(rough, rel=1e-14, abs=0)
+
+
 RUN = """
 [contacts]
 count = 1000
@@ -518,6 +578,60 @@ def test_run_files(tmp_path):
     for number, begin, end in zip(events["event"], events["t"], ends, strict=True):
         t = found.trajectory.broke["t"][found.trajectory.broke["event"] == number]
         assert np.all((begin <= t) & (t <= end))
+
+
+def test_pictures_have_the_lines_of_fronts():
+    """Of a front that runs to the left at 2 blocks per time: its line goes through the
+    points of its blocks, as far as it runs."""
+    found = run_file(check(tomllib.loads(RUN)).with_changes({"drive.time": 10.0}))
+    block = np.arange(8, 1, -1)
+    broke = {"block": block, "t": 3.0 + 0.5 * np.arange(7.0)}
+    broke |= {name: np.zeros(7, int) for name in ("event", "replica")}
+    events = {"blocks": 7, "t": 3.0, "peak": 1.0, "event": 0, "replica": 0}
+    events = {name: np.array([value]) for name, value in events.items()}
+    lists = {"broke": broke, "events": events, "fronts": fronts_of(broke)}
+    made = replace(found, trajectory=replace(found.trajectory, **lists))
+    points, line = made.figures("")["fronts"].axes[1].lines
+    np.testing.assert_allclose(
+        points.get_xydata(), line.get_xydata(), rtol=0, atol=1e-12
+    )
+    assert line.get_ydata().tolist() == block.tolist()
+
+
+def test_results_in_other_units():
+    """Lengths twice and times four times as large: the same numbers but for powers of
+    two. Rounding of 1e-16 grows to 1e-9 in events; a wrong power is a factor of two."""
+    short = {"drive.time": 400.0, "output.points": 5}
+    file = check(tomllib.loads(RUN)).with_changes(short)
+    first = run_file(file).trajectory
+    length, time = 2.0, 4.0
+    other = {
+        "thermal.kT": 0.01 * length**2,
+        "thermal.attempt_frequency": 1.0 / time,
+        "thresholds.x_star": length,
+        "thresholds.std": 0.1 * length,
+        "delay.time": 2.0 * time,
+        "drive.velocity": 0.02 * length / time,
+        "drive.time": 400.0 * time,
+        "elastic.damping": 0.1 * time,
+    }
+    second = run_file(file.with_changes(other)).trajectory
+    units = {
+        "blocks": {"t": time, "X": length, "V": length / time, "force": length},
+        "broke": {"t": time, "X": length},
+        "events": {
+            "t": time,
+            "duration": time,
+            "peak": length,
+            "drop": length,
+            "energy": length**2,
+        },
+    }
+    for table, columns in units.items():
+        for name, unit in columns.items():
+            ours, theirs = (getattr(run, table)[name] for run in (first, second))
+            assert ours.size > 0
+            np.testing.assert_allclose(theirs, unit * ours, rtol=1e-6, err_msg=name)
 
 
 def test_progress_tells_where_the_front_is():

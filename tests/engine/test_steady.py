@@ -623,6 +623,28 @@ def test_averages_of_known_sums():
     )
 
 
+def test_variance_of_known_sums():
+    """The variance S/cycle + d^2 (1 - pinned) - friction^2 of random sums of work W,
+    stretch C and square S, with a delay and a drag d: its error by the gradient in W, C
+    and S, and the covariance of these (delta method)."""
+    rng, delay, drag, unit = np.random.default_rng(18), 1.5, 0.4, 2.0
+    means = rng.normal([2.0, 3.0, 7.0], 0.1, (32, 3))
+    sums = np.column_stack((means, np.zeros(32), np.full((32, 2), 1e-3)))
+    c = contacts_of(Ensemble(delay=Delay(delay)), 1.0)
+    none = errorbars.Unseen(0.0, 0.0)
+    found = module._averages(c, sums, drag, unit, 100, True, none)[-1]
+    work, stretch, square = means.mean(axis=0)
+    cycle = stretch + delay
+    friction = (work + drag * delay) / cycle
+    second = (square + drag**2 * delay) / cycle
+    value = second - friction**2
+    assert found.value == pytest.approx(unit**2 * value, rel=1e-12, abs=0)
+    by_stretch = -second / cycle + 2.0 * friction**2 / cycle
+    gradient = np.array([-2.0 * friction / cycle, by_stretch, 1.0 / cycle])
+    error = math.sqrt(gradient @ np.cov(means.T) @ gradient / 32)
+    assert found.stderr == pytest.approx(unit**2 * error, rel=1e-12, abs=0)
+
+
 def test_difference_of_estimates():
     """In units of the joint error, first less second; nothing where that is 0 or
     unknown."""

@@ -82,6 +82,13 @@ def test_quantiles(line):
     assert max(map(abs, scores(drawn(replace(line, sigma=1.4 * SD))))) > 4.0
 
 
+def test_shares_are_those_of_their_names():
+    """As much of the posterior is below an interval as above it, to rounding, 1e-16."""
+    for name, (low, high) in posterior.SHARES.items():
+        assert high - low == pytest.approx(int(name) / 100, rel=1e-12, abs=0)
+        assert low + high == pytest.approx(1.0, rel=1e-12, abs=0)
+
+
 def test_any_number_of_workers(line):
     with ThreadPoolExecutor(2) as pool:
         np.testing.assert_array_equal(

@@ -140,13 +140,17 @@ def written(folder, seed, law="slip", **changes):
 
 @pytest.mark.parametrize("law", ["slip", param("aging", marks=LONG)])
 def test_truth_is_recovered(law, tmp_path):
-    """Within 4 standard deviations: 1 of 2000 fair fits fails. The same record with a
-    third of its errors is rejected."""
+    """Within 4 standard deviations: 1 of 2000 fair fits fails. Profiles of a - b and
+    (b - a)/D_c are as wide as their covariance says. The same record with a third of its
+    errors is rejected."""
     record = written(tmp_path, 1, law)
     found = fit_rate_and_state(record, law, starts=1)
     truth = {"a": 0.01, "b": 0.015, "D_c": 10.0, "k": 0.01, "trend": 1e-6}
     truth |= {"a-b": -0.005, "(b-a)/D_c": 5e-4}
     for one in found.intervals:
+        if one in found.differences:  # nearly normal: twice 1.96 sd, to a quarter
+            low, high = one.intervals["95"]
+            assert high - low == pytest.approx(3.92 * one.sd, rel=0.25, abs=0)
         if one.key in truth:
             off = one.estimate - truth[one.key]
             off = math.log1p(off / truth[one.key]) if one.transform == "log" else off

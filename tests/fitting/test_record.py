@@ -18,7 +18,7 @@ from eqsim.cli.app import app
 from eqsim.fitting.estimate import covariance, minimise
 from eqsim.fitting.fit import fit, goodness, prepare
 from eqsim.fitting.profiles import LEVELS
-from eqsim.fitting.record import correlated, settle_steps
+from eqsim.fitting.record import correlated, settle_steps, shapes
 from eqsim.fitting.section import section_of
 from eqsim.io.runfile import check
 from eqsim.master.transient import transient
@@ -349,6 +349,13 @@ def test_check_reads_and_draws(folder):
         assert said in done.output
     assert [path.name for path in (folder / "out").iterdir()] == ["data.png"]
     assert prepare(load(folder / "run.toml"), None, False).table.time.size < 2000
+
+
+def test_a_drift_is_told_from_the_middle_of_a_record(folder):
+    """(t - <t>) adds nothing to the mean, so that it does not move the offset."""
+    file = load(folder / "run.toml")
+    t = np.array([1.0, 2.0, 6.0])
+    assert shapes(file, section_of(file), t)["fit.drift"].tolist() == [-2.0, -1.0, 3.0]
 
 
 def test_hardening_goes_with_slip(folder):

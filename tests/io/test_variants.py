@@ -1,6 +1,8 @@
 """One record as laboratories have it, in forty forms: read rightly, with a word about
 what was done to its rows, or refused with the line; none loses a row in silence."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -156,6 +158,15 @@ def test_a_variant_is_read_or_refused(tmp_path, name):
     np.testing.assert_allclose(found.time, TIME, rtol=0, atol=4e-12)
     np.testing.assert_allclose(found.value, FORCE, rtol=1e-15, atol=0)
     assert said in "; ".join(found.said)
+
+
+def test_errors_are_divided_by_the_normal_stress(tmp_path):
+    """As the shear stress is; the noise of the section is of the coefficient."""
+    rows = [f"{t},{20 * F},20,0.04" for t, F in zip(TIME, FORCE, strict=True)]
+    (tmp_path / "x.csv").write_bytes(text([PLAIN[0] + ",sigma,error", *rows]))
+    found = read(tmp_path / "x.csv", {**NAMES, "normal": "sigma", "stderr": "error"})
+    sigma = np.full(len(TIME), math.hypot(0.04 / 20, 1e-3))
+    np.testing.assert_allclose(found.sigma, sigma, rtol=1e-12, atol=0)
 
 
 @pytest.mark.parametrize("name", REFUSED)

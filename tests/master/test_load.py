@@ -32,19 +32,32 @@ def test_steps_by_closed_form():
 
 
 def test_rates_by_closed_form():
-    """A load that grows by 1 in displacement adds X^2/2; one that falls in a hold takes
-    the force along. 4.5e-16 is rounding of sums of 20 terms near 1."""
+    """After a step down to 0.8 a load that grows by 1 in displacement adds X^2/2; one
+    that falls in a hold takes the force along. 4.5e-16 is rounding of sums of 20 terms
+    near 1."""
+    start = Segment(0.1, distance=0.5, load=0.8)
     grows = Segment(0.1, distance=0.9, load_rate=0.1)
     falls = Segment(time=3.0, load_rate=-0.1)
-    moves = Programme([SLIDE, grows, falls], "stationary", 0.1)
+    moves = Programme([start, grows, falls], "stationary", 0.1)
     exact = transient(EQUAL, moves, 61)
     slid, held = np.clip(exact.X - 0.5, 0.0, 0.9), np.clip(exact.t - 14.0, 0.0, 3.0)
-    known = (0.5 + 0.5 * slid**2) * (1.0 - 0.1 * held / 1.9)
+    known = (0.4 + 0.5 * slid**2) * (1.0 - 0.1 * held / 1.7)
+    known[0] = 0.5  # before the step
     assert np.abs(exact.force - known).max() < 1e-9
     grid = moves.grid(61)
     assert np.diff(grid.t[grid.segment == 2]) == pytest.approx(
         3.0 / 20, rel=1e-9, abs=0
     )
+
+
+def test_a_step_up_after_one_down():
+    """After a step down to 0.8 one up to 1.2 adds 0.4, stretched by X since then; to
+    rounding."""
+    down, up = (Segment(0.1, distance=0.5, load=load) for load in (0.8, 1.2))
+    exact = transient(EQUAL, Programme([SLIDE, down, up], "stationary", 0.1), 31)
+    known = np.where(exact.X > 0.501, 0.4, 0.5)
+    known += 0.4 * np.maximum(exact.X - 1.0, 0.0)
+    assert np.abs(exact.force - known).max() < 1e-9
 
 
 def test_simulation_beside_the_reference():
