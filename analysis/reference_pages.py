@@ -160,8 +160,18 @@ def labels() -> list[str]:
     ]
 
 
+# Public names that may still change in any version; all others are stable.
+PROVISIONAL = (
+    "Bursts", "Chain", "ChainTrajectory", "FreshSlip", "Lifetime", "Modes", "Posterior",
+    "Precursors", "RateAndState", "RateAndStateFit", "bursts", "chain_modes", "edge_load",
+    "fit_rate_and_state", "fresh_slip", "front_prestress", "front_speed", "lifetime",
+    "posterior", "precursors", "record_of",
+)  # fmt: skip
+
+
 def names() -> list[str]:
-    """Every public name with the first sentence of its documentation."""
+    """Every public name with the first sentence of its documentation, and whether it is
+    stable."""
     rows = []
     for name in eqsim.__all__:
         what = getattr(eqsim, name)
@@ -170,8 +180,10 @@ def names() -> list[str]:
             if callable(what)
             else "What averages are called; their words and units."
         )
-        rows.append((f"`{name}`", re.split(r"\.(?:\s|$)", plain(said))[0] + "."))
-    return table(("name", "meaning"), rows)
+        meaning = re.split(r"\.(?:\s|$)", plain(said))[0] + "."
+        status = "provisional" if name in PROVISIONAL else "stable"
+        rows.append((f"`{name}`", status, meaning))
+    return table(("name", "status", "meaning"), rows)
 
 
 PARTS = {
