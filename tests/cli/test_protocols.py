@@ -79,10 +79,13 @@ def test_run_and_replay(path, tmp_path):
             < 4.5 * segment["end"]["stderr"]
         )
     assert (out / "force.png").stat().st_size > 10_000
-    shared = json.loads(
-        call("run", path, "--out", tmp_path / "shared", "--workers", 2, "--json").output
-    )
-    assert shared["segments"] == summary["segments"]
+    shared = tmp_path / "shared"
+    done = call("run", path, "--out", shared, "--workers", 2, "--no-exact", "--json")
+    for segment, same in zip(
+        json.loads(done.output)["segments"], summary["segments"], strict=True
+    ):
+        del same["exact"]
+        assert segment == same
     again = call("replay", out / "trajectory.parquet")
     assert again.exit_code == 0, again.output
 

@@ -105,7 +105,7 @@ def test_particles_only(path, tmp_path, monkeypatch):
 
 
 def test_run_and_replay(path, tmp_path):
-    done = call("run", path, "--out", tmp_path / "out")
+    done = call("run", path, "--out", tmp_path / "out", "--no-exact")
     assert done.exit_code == 0, done.output
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     table = pd.read_parquet(tmp_path / "out" / "trajectory.parquet")
@@ -310,6 +310,7 @@ def test_a_slip_that_is_not_over_is_listed(path, tmp_path):
         "drive.stage.preload=20.0",
         "--set",
         f"drive.distance={0.1 * time}",
+        "--no-exact",
     )
     done = call("run", path, "--out", tmp_path / "out", *arguments)
     assert done.exit_code == 0, done.output
@@ -329,6 +330,7 @@ def test_a_slip_that_is_not_over_is_listed(path, tmp_path):
     assert "> 0." in shown
 
 
+@pytest.mark.verification
 def test_the_exact_peak_is_where_the_slider_is(path, tmp_path):
     """`exact.at` is the slider's displacement as `at` is, and not that of the stage:
     |z| < 4.5 of the error of `at`, 8 replicas. Negative control: where the stage is at

@@ -424,10 +424,8 @@ def test_thresholds_that_dive(path):
     )
 
 
-@pytest.mark.parametrize(
-    ("lives_log2", "chance"),
-    [(18, 2.8e-4), pytest.param(20, 1.4e-4, marks=pytest.mark.verification)],
-)
+@pytest.mark.verification
+@pytest.mark.parametrize(("lives_log2", "chance"), [(18, 2.8e-4), (20, 1.4e-4)])
 def test_clocks_that_stop_within_a_step(lives_log2, chance):
     """Low barriers, early breaks: fluctuations change the mean stretch by some per
     mille, which a single step has to get right. `chance` is left of so many lives (1
@@ -504,6 +502,7 @@ def test_paths_side_by_side_as_one_by_one(path):
     )  # control: other contacts
 
 
+@pytest.mark.verification
 def test_steps_of_many_paths_vectorise():
     """Packed roots and products of doubles in loops over paths; there are none where a
     path is alone."""

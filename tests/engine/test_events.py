@@ -70,7 +70,7 @@ CLUSTERS = [
 ]
 
 
-@chosen(("contacts", "force", "barrier"), CLUSTERS, CLUSTERS[2:3])
+@chosen(("contacts", "force", "barrier"), CLUSTERS, CLUSTERS[:1])
 def test_mean_life_of_clusters(contacts, force, barrier):
     """(|z| < 4.5: false alarm 7e-6)"""
     warm = Thermal(0.2, barrier=barrier)
@@ -95,7 +95,7 @@ BELL = [
 ]
 
 
-@chosen(("contacts", "force", "again", "exact"), BELL, [BELL[i] for i in (0, 3)])
+@chosen(("contacts", "force", "again", "exact"), BELL, BELL[3:4])
 def test_mean_life_of_bonds(contacts, force, again, exact):
     """T = sum t_n, t_n = (1 + g (N - n) t_{n+1})/(n k(F/n)): Erdmann and Schwarz
     (2004)."""
@@ -170,6 +170,7 @@ def _soft(x, xi, b):
     return np.exp(-b * np.maximum(xi**2 - x**2, 0.0))
 
 
+@pytest.mark.verification
 def test_unstretched_contacts_by_brute_force():
     """Thresholds that differ, and contacts that form again unstretched; half the delay
     is told apart."""
@@ -250,13 +251,14 @@ def motor_scores(contacts, spring, stall=STALL):
 @chosen(
     ("contacts", "spring"),
     [(n, spring) for n in (1, 2, 10) for spring in (None, 0.5)],
-    [(2, None), (10, 0.5)],
+    [(2, None)],
 )
 def test_motors_by_brute_force(contacts, spring):
     """Nine scores each, with |z| < 4.5."""
     assert np.abs(motor_scores(contacts, spring)).max() < 4.5
 
 
+@pytest.mark.verification
 def test_a_stronger_motor_is_told_apart():
     assert np.abs(motor_scores(10, 0.5, 1.1 * STALL)).max() > 10.0
 
@@ -575,6 +577,7 @@ class Humped(Numbers, Barrier):
         return np.zeros(np.broadcast(x, xi, a).shape)
 
 
+@pytest.mark.verification
 def test_a_rate_that_is_greatest_in_between_is_refused(monkeypatch):
     monkeypatch.setitem(BARRIERS, "humped", Humped)
     humped = replace(CLUSTER, thermal=Thermal(0.2, barrier="humped"))

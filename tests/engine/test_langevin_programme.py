@@ -44,9 +44,8 @@ LAWS = {
     "mechanical uniform, n = 0": {"thresholds": Gamma(0.0), **UNIFORM},
     "stiff uniform": {"thermal": Thermal(0.1, barrier="stiff"), **UNIFORM},
 }
-# By default a kernel that other tests compile, too, with both stiffness laws and both
-# laws of delays.
-CHOSEN = ["soft sqrt, exponential delay", "soft uniform, fixed delay"]
+# By default a kernel that other tests compile, too.
+CHOSEN = ["soft sqrt, exponential delay"]
 MIXED = (
     Segment(0.1, distance=2.0, points=20),
     Segment(0.0, time=20.0, points=10),
@@ -127,7 +126,7 @@ def test_the_same_whatever_is_recorded():
     assert scores(*runs).max() < 4.5
 
 
-@chosen("name", CHOSEN, CHOSEN[:1])
+@chosen("name", [*CHOSEN, "soft uniform, fixed delay"], CHOSEN)
 def test_same_bits_on_anything(name):
     one, two = (
         trajectory(contacts(name, 700), Programme(MIXED), seed=9, replicas=5, threads=n)
@@ -148,7 +147,7 @@ def test_reversal_is_a_mirror():
     assert one.force == pytest.approx(-other.force, rel=0, abs=1e-12)
 
 
-@chosen("name", LAWS, CHOSEN[:1])
+@chosen("name", LAWS, CHOSEN)
 def test_slow_aging_is_none(name):
     """Thresholds that move by 1e-4 of themselves along the programme."""
     slow = ends(
@@ -171,6 +170,7 @@ def test_fast_aging_is_not_none():
     assert np.sort(scores(fast, none))[-3] > 10
 
 
+@pytest.mark.verification
 def test_a_hold_is_the_limit_of_slow_sliding():
     """Sliding by 1e-6 x_* in a time T, against a hold of T: at another pace, and with x
     that hardly moves."""

@@ -106,6 +106,7 @@ def test_a_programme(bundle):
     assert largest_z(again, exact.force, exact.pinned) > 4.5
 
 
+@pytest.mark.verification
 def test_behind_a_stage():
     """8 ensembles of 2e4 warm contacts, a spring so soft that the bundle fails at once:
     |z| < 4.5, and nothing is left."""

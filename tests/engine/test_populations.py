@@ -335,7 +335,7 @@ def test_breaks_of_all_contacts_together():
     )
 
 
-@pytest.mark.parametrize("count", [1, 2, 10])
+@chosen("count", [1, 2, 10], [2])
 def test_few_contacts_of_three_kinds(count):
     """1e5 lives in ensembles of so few: the exact mean is that of the same division.
     |z| < 4.5 at four instants."""
@@ -385,7 +385,7 @@ def test_threads_do_not_change_a_bit():
 # ---- behind a stage ----
 
 
-@chosen("wrong", [False, True], [False])
+@chosen("wrong", [False, True], [])
 def test_a_stiff_stage_moves_all_kinds_as_a_rigid_slider(monkeypatch, wrong):
     """A spring of 2000 N k: X is the stage's to F/2000. |z| < 4.5 in the quoted error
     and the difference of X, and energies add up; not if lengths of a kind are taken for

@@ -155,6 +155,7 @@ def twin(ensemble, stage, velocity, time, dt, records):
     return np.array(found)
 
 
+@pytest.mark.verification
 def test_agrees_with_small_steps():
     """300 contacts, through a slip: X of the twin is right to the first order in its
     step, and that of the slider to its tolerance, but for the moments within a slip,
@@ -217,6 +218,7 @@ def test_energy_and_threads(ensemble, stage, monkeypatch):
     assert same.slips == found.slips
 
 
+@pytest.mark.verification
 def test_a_stiff_spring_is_a_rigid_slider():
     """X is that of the stage less F/kappa, but for what a step misses of F, which is up
     to its length where the motion turns. In the first segment contacts are the same,

@@ -426,6 +426,7 @@ def test_parts_of_a_segment_are_the_segment(start):
     )
 
 
+@pytest.mark.verification
 def test_stretched_births_and_slow_starts():
     """Contacts born stretched that slide by 1e-17 of a threshold in their lives, from a
     stationary start: they break as often as in the steady state, mean life over time,

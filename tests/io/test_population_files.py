@@ -182,6 +182,7 @@ population.1.stiffness = [1.0, 4.0]
 """
 
 
+@pytest.mark.verification
 def test_a_sweep_over_keys_of_populations(tmp_path):
     """Also made again from its table, bit by bit."""
     text = TEXT.replace("count = 10", "count = 10_000") + SWEEP
@@ -243,6 +244,7 @@ def test_the_run_file_of_the_documentation():
     assert len(file.ensemble.kinds) == 2
 
 
+@pytest.mark.verification
 def test_bonds_of_two_types(tmp_path):
     """Catch-slip and Bell bonds without thresholds: a barrier of its own, too, stands
     alone, and parts of it are keys. Along a programme and in a sweep."""

@@ -268,7 +268,7 @@ FLUCTUATING = [
 ]
 
 
-@chosen(("heat", "law", "v"), FLUCTUATING, [FLUCTUATING[-1]])
+@chosen(("heat", "law", "v"), FLUCTUATING, [])
 def test_thresholds_that_fluctuate(heat, law, v):
     """Rates that change as a bond is stretched, with fluctuating thresholds, against
     the Fokker-Planck equation (|z| < 4.5: false alarm 7e-6 each)."""
@@ -304,7 +304,7 @@ def segments(v, x):
     ("name", "drive"),
     [(name, drive) for name in SHAPES for drive in DRIVES],
     [
-        ("catch-slip", "programme"),
+        ("bell", "programme"),
         ("cusp", "constant"),
     ],
 )

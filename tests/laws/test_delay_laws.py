@@ -282,6 +282,7 @@ def test_stability_of_a_gamma_law_of_shape_1():
     assert found.value == pytest.approx(known.value, rel=5e-3, abs=0)
 
 
+@pytest.mark.verification
 def test_identical_contacts_forget_where_they_began():
     """Contacts that all break at 1: after many cycles gamma delays have spread them,
     and pinned is 1/(1 + 2); engine and reference agree all the way."""

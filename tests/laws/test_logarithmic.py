@@ -685,7 +685,7 @@ def test_stationary_start(name):
     )
 
 
-@chosen("name", [*RUNS][:3], ["gamma sqrt, soft, fixed delay"])
+@chosen("name", [*RUNS][:3], [])
 def test_variance_and_covariance(name):
     """Of the force of 600 stationary ensembles of 200 contacts, now and half a mean
     life later: |z| < 4.5 in two scores, their errors from the scatter of squares (600

@@ -515,9 +515,8 @@ def test_annealed_births_against_the_motion_follow_no_programme():
         trajectory(ensemble, Programme([Segment(1.0, distance=1.0)]))
 
 
-@pytest.mark.parametrize(
-    "damping", [pytest.param(0.0, marks=pytest.mark.verification), 0.1]
-)
+@pytest.mark.verification
+@pytest.mark.parametrize("damping", [0.0, 0.1])
 def test_a_stiff_stage_is_the_rigid_slider(damping):
     """Contact by contact: where the spring is 1e5 times as stiff as they are, X is that
     of the stage to 1e-5, and F changes by less than its slope of 1 times as much."""

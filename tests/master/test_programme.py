@@ -180,7 +180,8 @@ SHORT_HOLD = Programme(
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [
-        ("soft uniform", SHORT_HOLD),
+        ("mechanical uniform, fixed delay", SHORT_HOLD),
+        pytest.param("soft uniform", SHORT_HOLD, marks=pytest.mark.verification),
         pytest.param(
             "annealed soft uniform, fixed delay",
             SHORT_HOLD,

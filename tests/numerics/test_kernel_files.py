@@ -156,6 +156,7 @@ print(*found, len(compiled.buffer) // 2)
     assert tiny.run(code) == COMPILED
 
 
+@pytest.mark.verification
 def test_killed_at_every_step_of_compiling(tiny):
     """A process that is killed as it makes, writes, renames or removes a file of the
     cache leaves nothing that another takes: of the next two, both find the value, and
@@ -212,7 +213,9 @@ assert (step > 10, status) == (True, 1), (step, status)
     tiny.run(code)
 
 
-@pytest.mark.parametrize("most", [0, 4096])
+@pytest.mark.parametrize(
+    "most", [0, pytest.param(4096, marks=pytest.mark.verification)]
+)
 def test_a_full_disk(tiny, most):
     """It takes nothing at all, or the probe of the folder and not the machine code."""
 

@@ -147,9 +147,8 @@ def copy(tmp_path_factory):
     return python
 
 
-@pytest.mark.parametrize(
-    "which", ["quenched", pytest.param("all", marks=pytest.mark.verification)]
-)
+@pytest.mark.verification
+@pytest.mark.parametrize("which", ["quenched", "all"])
 def test_the_law_agrees_with_its_reference(copy, which):
     """Engine against reference at kT = 0.3, v = 0.1: steady averages, with -m
     verification of both ensembles, and the force at one X. |z| < 4.5 in two or five

@@ -105,7 +105,13 @@ def test_curves_are_named_once_and_cover_both_ensembles(name):
     assert sum(len(curve.points) for curve in curves) >= 20
 
 
-@pytest.mark.parametrize("numbers", ["1", pytest.param("12", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        pytest.param("1", marks=pytest.mark.verification),
+        pytest.param("12", marks=pytest.mark.long),
+    ],
+)
 def test_command(numbers, tmp_path, monkeypatch):
     """Pictures and table of a figure with few points; with -m long, with those of
     --quick, the same bytes with other workers."""

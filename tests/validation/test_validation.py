@@ -94,6 +94,18 @@ def made(found):
     ("size", "wrong", "of", "kinds"),
     [
         (
+            2,
+            changed(disorder="quenched"),
+            lambda e, v: (
+                e.thermal.kT > 0
+                and e.thermal.barrier == "soft"  # of kernels that others compile, too
+                and not e.aging.active
+                and not e.thresholds.steps.size
+                and not e.newborn.active
+            ),
+            {"friction", "break_stretch"},
+        ),
+        pytest.param(
             4,
             changed(disorder="quenched"),
             lambda e, v: (
@@ -102,6 +114,7 @@ def made(found):
                 and not e.newborn.active
             ),
             {"friction", "break_stretch", "transient", "hazard", "hazard law"},
+            marks=pytest.mark.verification,
         ),
         pytest.param(
             3,
@@ -126,6 +139,7 @@ def made(found):
         ),
     ],
     ids=[
+        "quenched instead of annealed, two points",
         "quenched instead of annealed",
         "flow instead of langevin",
         "x_*f ignored",

@@ -176,7 +176,7 @@ POWERS = st.integers(-40, 40).map(lambda power: 2.0**power)
 
 
 @everywhere(
-    8,
+    4,
     100,
     e=ensembles().filter(lambda e: not e.self_consistent),
     velocity=VELOCITIES,
@@ -395,7 +395,7 @@ def order_of_a_table_is_nothing(steps, e, v, chance):
 
 
 @everywhere(
-    8,
+    4,
     300,
     e=ensembles(),
     velocity=VELOCITIES,
