@@ -2,7 +2,6 @@
 pooled law of births."""
 
 import math
-import time
 
 import numpy as np
 import pytest
@@ -199,29 +198,3 @@ def test_bad_velocities():
     for wrong in ([], [[1.0]], [1.0, -1.0], [math.nan]):
         with pytest.raises(InputError, match="velocit"):
             curve(Ensemble(), wrong)
-
-
-@pytest.mark.verification
-@pytest.mark.parametrize(
-    ("name", "seconds"), [("annealed", 2e-3), ("quenched", 6e-3), ("aging", 0.1)]
-)
-def test_speed(name, seconds):
-    """12 velocities: the best of 20, as other processes run beside."""
-    aging = Ensemble(
-        Gamma(1.0, 0.1),
-        Thermal(0.1),
-        aging=Aging("flow", 0.1, 1.0),
-        disorder="annealed",
-        **UNIFORM,
-    )
-    contacts, velocities, best = (
-        CASES.get(name, aging),
-        np.geomspace(1e-3, 10.0, 12),
-        math.inf,
-    )
-    for _ in range(20):
-        lives_of.cache_clear()
-        begin = time.perf_counter()
-        curve(contacts, velocities)
-        best = min(best, time.perf_counter() - begin)
-    assert best < seconds
