@@ -254,8 +254,8 @@ def _aging(ensemble: Ensemble, v: float, rng: np.random.Generator) -> Ensemble:
 
 
 def typical_life(ensemble: Ensemble, v: float) -> float:
-    """About the mean stretch at breaking, with births of annealed contacts that age as
-    of lives as long as the mean threshold; the mean threshold where lives cannot be
+    """About the mean travel of a life, with births of annealed contacts that age as of
+    lives as long as the mean threshold; the mean threshold where lives cannot be
     sampled."""
     mean = ensemble.thresholds.mean
     try:
