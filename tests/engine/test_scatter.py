@@ -201,10 +201,8 @@ def test_one_contact_of_a_stationary_start():
     )  # one that was not met is added
 
 
-@pytest.mark.parametrize(
-    ("count", "seeds"),
-    [pytest.param(100_000, 6, marks=pytest.mark.verification), (3_000, 30)],
-)
+@pytest.mark.verification
+@pytest.mark.parametrize(("count", "seeds"), [(100_000, 6), (3_000, 30)])
 def test_rare_breaks_of_fluctuating_thresholds(count, seeds):
     """One contact in 2500 has broken, which hardly any of the law's own paths has: in
     samples of some 40 such contacts (sum of squared scores, p > 1e-4) and of one or

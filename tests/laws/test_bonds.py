@@ -305,7 +305,6 @@ def segments(v, x):
     [(name, drive) for name in SHAPES for drive in DRIVES],
     [
         ("bell", "programme"),
-        ("cusp", "constant"),
     ],
 )
 def test_drives_against_reference(name, drive):

@@ -228,7 +228,7 @@ WARM_LEVELS = {  # velocity: friction at kT = .1, uniform and sqrt, each with th
 }
 
 
-@chosen("velocity", WARM_LEVELS, [10.0])  # the slower, the longer it takes
+@chosen("velocity", WARM_LEVELS, [])  # the slower, the longer it takes
 @pytest.mark.usefixtures("strengthen")
 def test_level_of_warm_contacts_that_strengthen(velocity):
     """Within both errors, and to 1e-4 of it. The slower, the more happens in a step:
