@@ -305,7 +305,7 @@ def _raise_youngest(z: Array, newer: Array) -> None:
     evenly with age: that ends at 0, and ln z at -oo."""
     for k in range(z.size):
         risen = _OF_OLDER * z[k] + _OF_NEWER * math.exp(newer[k])
-        newer[k] = max(newer[k], math.log(max(risen, 1e-300)))
+        newer[k] = max(newer[k], math.log(risen))
 
 
 @carry.register(Fronts)

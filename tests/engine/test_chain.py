@@ -505,8 +505,8 @@ def test_fronts_are_named_by_the_speed_of_waves():
 
 
 def test_means_over_events_and_slip():
-    """Of events and displacements of two replicas that are given: those of all blocks
-    count without the first of each, and the others are precursors."""
+    """Means of given events and displacements of two replicas: events of all blocks
+    count without the first of each replica, and the others are precursors."""
     chain = Chain(2, 1.0, 0.25, damping=0.5)
     run = trajectory(HOT, programme(chain, 1.0), points=3, replicas=2)
     events = {
@@ -581,8 +581,9 @@ def test_run_files(tmp_path):
 
 
 def test_pictures_have_the_lines_of_fronts():
-    """Of a front that runs to the left at 2 blocks per time: its line goes through the
-    points of its blocks, as far as it runs."""
+    """The line of a front that runs to the left at 2 blocks per time goes through the
+    points of its blocks, as far as it runs; 1e-12 is rounding of a fit of seven times
+    below 10."""
     found = run_file(check(tomllib.loads(RUN)).with_changes({"drive.time": 10.0}))
     block = np.arange(8, 1, -1)
     broke = {"block": block, "t": 3.0 + 0.5 * np.arange(7.0)}

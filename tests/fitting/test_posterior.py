@@ -83,7 +83,7 @@ def test_quantiles(line):
 
 
 def test_shares_are_those_of_their_names():
-    """As much of the posterior is below an interval as above it, to rounding, 1e-16."""
+    """Intervals leave as much of the posterior below as above, to rounding, 1e-16."""
     for name, (low, high) in posterior.SHARES.items():
         assert high - low == pytest.approx(int(name) / 100, rel=1e-12, abs=0)
         assert low + high == pytest.approx(1.0, rel=1e-12, abs=0)

@@ -161,7 +161,8 @@ def test_a_variant_is_read_or_refused(tmp_path, name):
 
 
 def test_errors_are_divided_by_the_normal_stress(tmp_path):
-    """As the shear stress is; the noise of the section is of the coefficient."""
+    """Errors are those of the coefficient, as the section's noise is; decimals of the
+    file are rounded to 1e-16."""
     rows = [f"{t},{20 * F},20,0.04" for t, F in zip(TIME, FORCE, strict=True)]
     (tmp_path / "x.csv").write_bytes(text([PLAIN[0] + ",sigma,error", *rows]))
     found = read(tmp_path / "x.csv", {**NAMES, "normal": "sigma", "stderr": "error"})

@@ -86,6 +86,12 @@ def aged(**changes):
     return change
 
 
+def smooth_and_warm(e, v):
+    """True of contacts born unstressed that heat breaks, with thresholds without
+    atoms."""
+    return e.thermal.kT > 0 and not e.thresholds.steps.size and not e.newborn.active
+
+
 def made(found):
     return [one for one in found if isinstance(one, Score)]
 
@@ -97,22 +103,16 @@ def made(found):
             2,
             changed(disorder="quenched"),
             lambda e, v: (
-                e.thermal.kT > 0
+                smooth_and_warm(e, v)
                 and e.thermal.barrier == "soft"  # of kernels that others compile, too
                 and not e.aging.active
-                and not e.thresholds.steps.size
-                and not e.newborn.active
             ),
             {"friction", "break_stretch"},
         ),
         pytest.param(
             4,
             changed(disorder="quenched"),
-            lambda e, v: (
-                e.thermal.kT > 0
-                and not e.thresholds.steps.size
-                and not e.newborn.active
-            ),
+            smooth_and_warm,
             {"friction", "break_stretch", "transient", "hazard", "hazard law"},
             marks=pytest.mark.verification,
         ),
