@@ -76,6 +76,12 @@ FIRST_STEP = 0.1
 STRATA = 96
 # Cells of the tables of the coarsest grid.
 TABLE_CELLS = 1000
+# How far interpolation of ln(rate) may be off in one of n cells, times n^2.
+_OFF_IN_CELL = 10.0
+# How often a cell is halved at most.
+_MOST_HALVINGS = 20
+# ln of a rate that stands for none.
+_NO_RATE = -1e4
 # Steps of a march at most, to bound time and memory.
 MOST_STEPS = 200_000
 # Most cohorts of a stationary start, in steps of the coarsest grid.
@@ -181,12 +187,48 @@ def law_tables(contacts: Reduced, cells: int) -> LawTables:
         edge, _, above = _cells_of(contacts, cells)
         y, above = np.append(0.0, edge), np.append(above[:, :1], above, axis=1)
         ahead = y
-    rate = np.zeros_like(y)
+    log_rate = np.full(y.size, _NO_RATE)
     if contacts.annealed:
-        rate = successful_attempts(contacts, y, above=ahead)
+        log_rate = _log_rate(contacts, y, ahead)
+        off = _OFF_IN_CELL / cells**2
+        y, above, log_rate = _in_finer_cells(contacts, y, above, log_rate, off)
     total = integrate.cumulative_trapezoid(above, y, axis=1, initial=0.0)
+    return LawTables(y, above, total, log_rate)
+
+
+def _log_rate(contacts: Reduced, y: Array, above: Array) -> Array:
+    """ln of the rate at which heat breaks annealed contacts at stretches y, of thresholds
+    greater than `above`, all shape (n,)."""
     with np.errstate(divide="ignore"):
-        return LawTables(y, above, total, np.maximum(np.log(rate), -1e4))
+        return np.maximum(
+            np.log(successful_attempts(contacts, y, above=above)), _NO_RATE
+        )
+
+
+def _in_finer_cells(
+    contacts: Reduced, y: Array, above: Array, log_rate: Array, off: float
+) -> tuple[Array, Array, Array]:
+    """Halve cells of tables until interpolation of ln(rate) is off by no more than `off`
+    where this matters: weighted with the fastest rate in the cell, up to 1, and with the
+    share of thresholds that are greater. A law has cells where thresholds are, and a rate also changes
+    where there are none."""
+    rows = np.vstack((y, above, log_rate))
+    cells = np.flatnonzero(np.diff(y) > 0.0)
+    for _ in range(_MOST_HALVINGS):
+        left, right = rows[:, cells], rows[:, cells + 1]
+        middle = 0.5 * (left + right)
+        exact = _log_rate(contacts, middle[0], middle[0])
+        fastest = np.maximum(np.maximum(left[-1], right[-1]), exact)
+        matters = np.exp(np.minimum(fastest, 0.0)) * left[1]
+        coarse = np.abs(exact - middle[-1]) * matters > off
+        middle[-1] = exact
+        halved = cells[coarse]
+        if not halved.size:
+            break
+        rows = np.insert(rows, halved + 1, middle[:, coarse], axis=1)
+        first = halved + np.arange(halved.size)
+        cells = np.union1d(first, first + 1)
+    return rows[0].copy(), rows[1:-1].copy(), rows[-1].copy()
 
 
 def _totals_from(shares: Array) -> Array:

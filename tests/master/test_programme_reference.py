@@ -7,12 +7,13 @@ import math
 import numpy as np
 import pytest
 from cases import chosen
-from scipy import integrate
+from scipy import integrate, stats
 from thinning import Script, simulate
 
 from eqsim import (
     Delay,
     Delta,
+    Distribution,
     Drive,
     Ensemble,
     Gamma,
@@ -129,6 +130,91 @@ def test_force_in_a_hold(hold):
     assert (
         found.force_error[4] < 1e-5
     )  # the largest is 7e-6, most of it what interpolation may miss
+
+
+APART = {
+    "a lower end": (stats.uniform(0.3545, 0.9315), 0.3),
+    "narrow": (stats.gamma(1e4, scale=1e-4), 0.8),
+    "a tail": (stats.pareto(4.5), 0.7),
+}
+
+
+@pytest.mark.parametrize("kT", [0.02, 0.3])
+@pytest.mark.parametrize("name", APART)
+def test_heat_breaks_contacts_far_from_any_threshold(name, kT):
+    """Annealed contacts that are pulled at once, by less than any threshold, and held
+    break at a constant rate, the mean of exp(-(xi^2 - x^2)/(2 kT)): within the quoted
+    error, 2e-5 of the force. Negative control: ln of the rate as a straight line from 0
+    to the least thresholds."""
+    law, x = APART[name]
+
+    def rate(x):
+        def attempts(s):  # of the threshold that e^-s of all exceed
+            return math.exp((x**2 - law.isf(math.exp(-s)) ** 2) / (2.0 * kT) - s)
+
+        return integrate.quad(attempts, 0.0, 40.0, epsabs=0, epsrel=1e-9, limit=500)[0]
+
+    time = 0.5 / rate(x)
+    pulled = Segment(1e9 * x / time, distance=x, points=1)
+    contacts = Ensemble(Distribution(law), Thermal(kT), disorder="annealed", **UNIFORM)
+    held = transient(contacts, Programme((pulled, Segment(0.0, time=time)), "fresh"), 2)
+    left, error = held.force[-1] / held.force[1], held.force_error[-1] / held.force[1]
+    assert left == pytest.approx(math.exp(-0.5), rel=0, abs=error)
+    assert error < 2e-5
+    least = law.ppf(1e-15)
+    straight = rate(0.0) ** (1.0 - x / least) * rate(least) ** (x / least)
+    assert abs(math.exp(-straight * time) - left) > 100.0 * error
+
+
+def test_heat_breaks_contacts_between_two_kinds_of_thresholds():
+    """Annealed contacts whose thresholds are below .1 or above 1, slid by .8 at 1/2 and
+    held for 4: of 4e5 lines of lives, which end at a threshold or where heat breaks a
+    contact, whichever is first. |z| < 4.5 before and after the hold, false alarm 1e-5.
+    Negative control: a temperature 5 % higher."""
+    rng, v, slide, hold, kT, count = (
+        np.random.default_rng(1),
+        0.5,
+        0.8,
+        4.0,
+        0.2,
+        400_000,
+    )
+    edges = np.array([0.0, 0.1, 1.0, 1.1])
+    law = stats.rv_histogram(([6.0, 0.0, 4.0], edges), density=False)
+    x, xi = np.linspace(0.0, slide, 4001), np.linspace(0.0, 1.1, 11_001)[1:]
+    share = np.diff(law.cdf(np.append(0.0, xi)))
+    heights = np.append((share * np.exp(-(xi**2) / (2.0 * kT)))[::-1].cumsum()[::-1], 0)
+    rate = np.exp(x**2 / (2.0 * kT)) * heights[np.searchsorted(xi, x, side="right")]
+    hazard = integrate.cumulative_trapezoid(rate, x, initial=0.0) / v
+    birth, moving = np.zeros(count), np.arange(count)
+    while moving.size:
+        strong = rng.random(moving.size) < 0.4
+        threshold = 0.1 * rng.random(moving.size) + strong
+        broken = np.interp(rng.exponential(size=moving.size), hazard, x, right=2.0)
+        born = birth[moving] + np.minimum(threshold, broken)
+        moving, born = moving[born < slide], born[born < slide]
+        birth[moving] = born
+    stretch = slide - birth
+    left = stretch * np.exp(-np.interp(stretch, x, rate) * hold)
+
+    def scores(kT):
+        known = transient(
+            Ensemble(Distribution(law), Thermal(kT), disorder="annealed", **UNIFORM),
+            Programme(
+                (Segment(v, distance=slide, points=1), Segment(0.0, time=hold)), "fresh"
+            ),
+            3,
+        )
+        return [
+            (sample.mean() - force) / math.hypot(sample.std() / count**0.5, error)
+            for sample, force, error in (
+                (stretch, known.force[1], known.force_error[1]),
+                (left, known.force[-1], known.force_error[-1]),
+            )
+        ]
+
+    assert max(map(abs, scores(kT))) < 4.5
+    assert max(map(abs, scores(1.05 * kT))) > 4.5
 
 
 def test_relaxation_of_quenched_contacts():
