@@ -421,8 +421,10 @@ class Distribution(Smooth):
         Its mean cube (the work of a contact under the sqrt law) has to be finite.
     breakpoints : array_like, optional
         Points inside the support where its density jumps (those of an `rv_histogram`
-        are found). Draws next to these are interpolated; the error bars of `steady`
-        include this, up to some 1e-3 across a gap.
+        are found). Draws next to these are interpolated, so that up to half a percent
+        of all thresholds are drawn within a gap. The error bars of `steady` include
+        this, the scatter of runs does not: their forces may be off by some 2e-3. A
+        sample of the law as a `Table` has no such error.
 
     Examples
     --------

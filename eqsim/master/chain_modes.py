@@ -181,8 +181,9 @@ def chain_modes(
     coupling = chain.coupling
     springs = _Links(max(K_d, _FAINT), coupling, chain.bulk_damping * rate)
     lowest = _lowest(chain, K_d)
-    fine, coarse, scan = pulled.loops()
-    border = border_of(coarse, scan)
+    border, (fine, coarse, scan) = pulled.resolved(
+        lambda each: border_of(each.coarse, each.scan)
+    )
     last = _BEYOND * math.sqrt(max(border.stiffness, springs.plate) / coupling)
     grid = np.linspace(0.0, min(last, math.pi), _WAVE_NUMBERS)
     asked = grid if wave_numbers is None else np.asarray(wave_numbers, float)

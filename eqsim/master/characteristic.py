@@ -86,6 +86,9 @@ _FASTEST_DECAY = 4.0
 # growth within a panel of ages makes some that do not exist.
 _CANDIDATES = 12
 
+# Phase over a panel of ages that its eight nodes resolve, to 1e-7 of the force.
+_RESOLVED_PHASE = 10.0
+
 # An estimate without a value.
 NO_VALUE = Estimate(None, None, 0)
 
@@ -148,6 +151,13 @@ class Loop(NamedTuple):
     def cycle(self) -> float:
         """Mean length of a cycle, C + V tau."""
         return 1.0 / self.beta
+
+    def resolves(self, frequency: float) -> bool:
+        """True if panels of ages are short beside a period; else perturbations are
+        found that do not exist. No panels can be short beside none."""
+        if self.lives is None or math.isinf(frequency):
+            return True
+        return frequency * float(self.lives.width.max()) < _RESOLVED_PHASE
 
     def response(self, p: Array) -> Array:
         """Z without its term in eta_l p (1 - pinned), which is in `damping`; p complex,
@@ -275,9 +285,20 @@ def _crossing(loop: Loop, low: float, high: float) -> Border:
 
 
 def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
+    """Find the slowest root as `slowest_of` does, from `guesses_of` of `coarse`."""
+    return slowest_of(loop, guesses_of(coarse, stiffness), stiffness)
+
+
+def slowest_of(loop: Loop, guesses: Array, stiffness: float) -> complex | None:
     """Find the root of the characteristic equation with the largest real part,
-    imaginary part >= 0, by Newton's method from a grid of guesses, with the nodes of
-    `coarse`, then those of `loop`; None if all decay faster than `_FASTEST_DECAY` per
+    imaginary part >= 0, by Newton's method from guesses; None without any."""
+    roots = roots_from(loop, guesses, stiffness)
+    return complex(roots[np.argmax(roots.real)]) if roots.size else None
+
+
+def guesses_of(loop: Loop, stiffness: float) -> Array:
+    """Find roots of the characteristic equation with few nodes, by Newton's method from
+    a grid: guesses, shape (n,), of those that decay no faster than `_FASTEST_DECAY` per
     cycle."""
     mean, stiff = loop.travel, loop.stiffness
     left = -_FASTEST_DECAY / loop.cycle
@@ -291,12 +312,11 @@ def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
     w = np.append(whole, np.geomspace(slow, fast, 24))
     real = np.append([0.6 * left, 0.15 * left, 0.0], np.geomspace(0.3 * slow, fast, 4))
     grid = (real[:, None] + 1j * w).ravel() + 1e-9 / loop.cycle
-    roots = roots_from(coarse, grid, stiffness)
+    roots = roots_from(loop, grid, stiffness)
     roots = roots[(roots.real > left) & (roots.imag >= -1e-12)]
     # one guess in each group that is closer than it is worth
     roots = roots[np.unique(np.round(roots * loop.cycle, 3), return_index=True)[1]]
-    roots = roots_from(loop, roots[np.argsort(-roots.real)[:_CANDIDATES]], stiffness)
-    return complex(roots[np.argmax(roots.real)]) if roots.size else None
+    return roots[np.argsort(-roots.real)[:_CANDIDATES]]
 
 
 def roots_from(loop: Loop, p: Array, stiffness: float) -> Array:

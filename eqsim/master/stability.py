@@ -12,7 +12,7 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -22,7 +22,17 @@ from eqsim.estimate import Estimate, known
 from eqsim.laws.aging import Unaged
 from eqsim.laws.barrier import Mechanical
 from eqsim.master import characteristic
-from eqsim.master.characteristic import NO_VALUE, Mode, mode
+from eqsim.master.characteristic import (
+    NO_VALUE,
+    Loop,
+    Mode,
+    border_of,
+    guesses_of,
+    loop_of,
+    mode,
+    roots_from,
+    slowest_of,
+)
 from eqsim.master.idle import IDLE, shift_by_heat
 from eqsim.master.profile import Profile
 from eqsim.master.programme import course_of
@@ -67,6 +77,10 @@ _SINGULAR = 1e-6
 _LIVES_OF_A_CYCLE = 10.0
 # Errors by which a rate, or a stiffness, must differ from a border.
 _SURE = 2.0
+# How many times as many panels of ages as usual are tried.
+_FINER_AGES = (1, 4, 16)
+
+Found = TypeVar("Found", bound=tuple[Any, float])
 
 
 @dataclass(frozen=True, repr=False)
@@ -170,6 +184,14 @@ class Stability(Result):
         return "unstable" if self.growth.value > 0.0 else "stable"
 
 
+class Loops(NamedTuple):
+    """The characteristic equation with fine and with coarse nodes, and for scans."""
+
+    fine: Loop
+    coarse: Loop
+    scan: Loop
+
+
 class SteadyPull(NamedTuple):
     """Contacts that a stage pulls at constant velocity (length/time)."""
 
@@ -200,13 +222,25 @@ class SteadyPull(NamedTuple):
         neutral = still and not contacts.barrier.thermal
         return NEUTRAL if neutral else characteristic.METHOD
 
-    def loops(self) -> list[characteristic.Loop]:
-        """Loops of the characteristic equation: fine, coarse, and for scans."""
+    def loops(self, finer: int = 1) -> Loops:
+        """Loops with ages in `finer` times as many panels as usual."""
         contacts = self.contacts
         with under("drive"):
             pull = pull_of(self.ensemble, self.programme())
         nodes = characteristic.FINE, characteristic.COARSE, characteristic.SCAN
-        return [characteristic.loop_of(contacts, pull, number) for number in nodes]
+        return Loops(
+            *(loop_of(contacts, pull, x._replace(ages=finer * x.ages)) for x in nodes)
+        )
+
+    def resolved(self, find: Callable[[Loops], Found]) -> tuple[Found, Loops]:
+        """What `find` finds, of which [1] is a frequency, with loops that resolve this,
+        and these loops."""
+        for finer in _FINER_AGES:
+            loops = self.loops(finer)
+            found = find(loops)
+            if loops.fine.resolves(found[1]):
+                break
+        return found, loops
 
 
 def pulled_by(ensemble: Ensemble, drive: Drive | Programme) -> SteadyPull:
@@ -279,11 +313,13 @@ def critical_stiffness(pulled: SteadyPull) -> Estimate:
     InputError."""
     if pulled.method == NEUTRAL:
         return Estimate(0.0, 0.0, 0)
-    fine, coarse, scan = pulled.loops()
-    stiffness = characteristic.border_of(fine, scan).stiffness
+
+    (stiffness, _), loops = pulled.resolved(
+        lambda each: border_of(each.fine, each.scan)
+    )
     if math.isinf(stiffness):
         return Estimate(math.inf, 0.0, 0)
-    rough = characteristic.border_of(coarse, scan).stiffness
+    rough = border_of(loops.coarse, loops.scan).stiffness
     return Estimate(stiffness, abs(stiffness - rough) + 1e-12, 0)
 
 
@@ -315,11 +351,17 @@ def _mode(pulled: SteadyPull) -> Mode:
     """The slowest perturbation of steady sliding."""
     if pulled.method == NEUTRAL:
         return Mode(Estimate(0.0, 0.0, 0), NO_VALUE)
-    (fine, coarse, scan), stiffness = pulled.loops(), pulled.stage.stiffness
-    p = characteristic.root_of(fine, scan, stiffness)
+    stiffness, scan = pulled.stage.stiffness, pulled.loops().scan
+    guesses = guesses_of(scan, stiffness)
+
+    def find(loops: Loops) -> tuple[complex | None, float]:
+        p = slowest_of(loops.fine, guesses, stiffness)
+        return p, abs(p.imag) if p else 0.0
+
+    (p, _), loops = pulled.resolved(find)
     if p is None:
         return Mode(NO_VALUE, NO_VALUE)
-    near = characteristic.roots_from(coarse, np.array([p]), stiffness)
+    near = roots_from(loops.coarse, np.array([p]), stiffness)
     rough = [*near.tolist(), math.inf][0]
     rate = pulled.velocity / pulled.ensemble.thresholds.scale
     size = abs(p) * rate
