@@ -40,6 +40,12 @@ from eqsim.model.slip import least_slip
 
 LOGARITHMIC = Aging("logarithmic", beta=0.05, cutoff_time=0.1)
 GROWING = Aging("flow", rate=0.05, x_star_final=2.0)
+ABOVE = Ensemble(  # no threshold is less than .35
+    Distribution(stats.uniform(0.3545, 0.9315)),
+    Thermal(0.2),
+    disorder="annealed",
+    stiffness_law="uniform",
+)
 
 
 def contacts(n=1.0, tau=0.0, **more):
@@ -358,6 +364,7 @@ def test_roots(stiffness, root):
     assert (stiffness < found.critical_stiffness.value) == (root.real > 0)
 
 
+@pytest.mark.verification
 def test_no_root_is_missed():
     """None has a larger real part than the one found, which has."""
     for tau, stiffness, damping, mass in (
@@ -469,6 +476,7 @@ def test_mass():
     assert rates[0] > 0.0 > rates[1]
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize(
     ("stiffness", "eta", "mass", "period"),
     [
@@ -558,16 +566,32 @@ def test_slow_perturbations_follow_the_steady_force():
         contacts(thermal=Thermal(0.1), aging=LOGARITHMIC),
         contacts(aging=LOGARITHMIC, stiffness_law="sqrt"),
         contacts(tau=1.0, aging=GROWING, stiffness_law="sqrt"),
+        ABOVE,
     ):
         fine, h = loop(warm, pulled(0.1)), 1e-3
         p = 1e-6
-        # V = 1 in the units of the equation
-        slope = fine.response(np.array([p]))[0].real / p
+        # V = 1 in the units of the equation, the law's scale is that of lengths
+        slope = fine.response(np.array([p]))[0].real / p * warm.thresholds.scale
         up, down = (
             reference(warm, Drive(0.1 * math.exp(step))).friction for step in (h, -h)
         )
         missed = (up.stderr + down.stderr) / (2.0 * h) + 1e-5
         assert (up.value - down.value) / (2.0 * h) == pytest.approx(slope, abs=missed)
+
+
+@pytest.mark.verification
+def test_panels_of_ages_resolve_the_period():
+    """Perturbations that heat breaks decay without a period. Negative control: panels
+    that a period of a seventieth of a life is shorter than have one that grows."""
+    drive = pulled(0.1, damping=0.0)
+    found = stability(ABOVE, drive, critical=False)
+    assert found.period.value is None
+    assert found.growth.stderr < 1e-4
+    assert found.growth.value < 0.0
+    fine, _, scan = pulled_by(ABOVE, drive).loops()
+    p = characteristic.root_of(fine, scan, 0.1)
+    assert p.real > 0.0
+    assert not fine.resolves(p.imag)
 
 
 @pytest.mark.verification
