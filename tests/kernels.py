@@ -64,9 +64,9 @@ def compile_kernels(barrier, aging):
     )
     steady(contacts, Drive(1.0), rel_error=1.0)
     trajectory(contacts, Drive(1.0, 1.0), points=2)
-    start = "fresh" if aging == "langevin" else "stationary"
+    start = "stationary" if aging == "none" else "fresh"
     trajectory(contacts, Drive(1.0, 1.0, start), points=2)
-    if barrier in ("mechanical", "soft") and aging != "flow":
+    if barrier in ("mechanical", "soft") and aging in ("none", "langevin"):
         programme = Programme([Segment(1.0, distance=1.0)], start, 1.0)
         trajectory(contacts, programme, points=2)
         if aging == "none":

@@ -287,6 +287,7 @@ def elsewhere(processor, what, names):
     return json.loads(done.stdout)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("processor", "what", "names"),
     [

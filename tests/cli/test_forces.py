@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pandas as pd
+import pytest
 from cases import chosen
 from command_line import call
 
@@ -92,6 +93,7 @@ def test_a_run_behind_a_stage_draws_its_avalanches(tmp_path):
     assert (tmp_path / "out" / "avalanches.png").exists()
 
 
+@pytest.mark.verification
 def test_a_sweep_of_motors_has_their_mean_force(tmp_path):
     path = tmp_path / "motor.toml"
     path.write_text(MOTOR)
@@ -128,6 +130,7 @@ def test_a_run_of_contacts_that_never_form_again_has_a_peak_and_no_averages(tmp_
     assert "unreliable" not in done.output
 
 
+@pytest.mark.verification
 def test_a_run_under_a_force_tells_when_it_lets_go(tmp_path):
     """Lifetimes of clusters beside the exact one, the strength of a bundle, and no mean
     field of a few bonds, which would take minutes."""

@@ -90,6 +90,7 @@ def test_run_and_replay(path, tmp_path):
     assert again.exit_code == 0, again.output
 
 
+@pytest.mark.verification
 def test_healing_per_decade(tmp_path):
     """Three holds in one run: printed, drawn and in JSON, beside the fit of the values."""
     motion, holds = (
@@ -200,6 +201,7 @@ def test_bad_programmes_leave_nothing(path, tmp_path):
     assert "more than --max-lives = 10" in result.output
 
 
+@pytest.mark.verification
 def test_recorded_drive(path, tmp_path):
     t = np.linspace(0.0, 10.0, 21)
     pd.DataFrame({"t": t, "X": np.sin(t)}).to_csv(tmp_path / "drive.csv", index=False)

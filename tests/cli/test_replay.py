@@ -127,6 +127,7 @@ def test_what_was_changed_is_found(made, tmp_path):
     assert "force differs in 1 of 21 rows, by up to" in " ".join(done.stdout.split())
 
 
+@pytest.mark.verification
 def test_a_sweep_of_an_older_version(made, tmp_path, monkeypatch):
     """Seeds are made from identities, and these from the version of results; a replay
     takes those of then."""

@@ -39,6 +39,7 @@ def path(tmp_path):
     return file
 
 
+@pytest.mark.verification
 def test_a_hold_behind_a_spring(path, tmp_path):
     """The table, JSON and rows of a sweep of a slide-hold-slide test are those of a
     rigid drive: forces at the ends, relaxation, healing, drop, and the place of the
@@ -81,6 +82,7 @@ def test_a_hold_behind_a_spring(path, tmp_path):
     assert row["slips"] >= 0
 
 
+@pytest.mark.verification
 def test_particles_only(path, tmp_path, monkeypatch):
     """No mean field is solved, which the summary and the line below the table say, and
     a sweep has no references; thresholds that grow as ln t are replayed."""
@@ -295,6 +297,7 @@ def test_whole_slips_make_the_means():
     assert (mean.value, mean.n) == (pytest.approx(0.6, rel=1e-12, abs=0), 2)
 
 
+@pytest.mark.verification
 def test_a_slip_that_is_not_over_is_listed(path, tmp_path):
     """The spring is stretched so far at first that the record begins in a slip, and
     ends in the second: both are listed and marked, in the table and in JSON, and the

@@ -404,6 +404,7 @@ def test_passages_next_to_zero(n, r):
     assert r == 0.5 or abs(arrive @ found(n + 0.05) / (arrive @ exact) - 1) > 8e-3
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("path", [
     (0.1, 22.8, 522.0, 0.0, 1.0, "soft", "sqrt"), (0.0, 22.8, 522.0, 1.0, 60.0, "soft", "uniform")
 ])  # fmt: skip
@@ -607,6 +608,7 @@ def test_fresh_start(name):
     assert scores(run(name, "fresh"), exact.force, exact.pinned, known).max() < LIMIT
 
 
+@pytest.mark.verification
 @chosen("name", RUNS, ["flow sqrt"])
 def test_stationary_start(name):
     """Level from X = 0 on, at 21 points (42 scores), and in the averages over the
@@ -799,6 +801,7 @@ def test_steady(name):
         )
 
 
+@pytest.mark.verification
 @chosen("stiffness", ("sqrt", "uniform"), ["sqrt"])
 def test_limits(stiffness):
     """No aging at D -> 0; the final law at infinite rate, with the newborn rms; weaker
@@ -903,6 +906,7 @@ def test_flow_with_the_shortest_lives(v):
     assert abs(still.value / found.value - 1) > 50 * found.stderr / found.value
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize(("v", "annealed", "flow", "langevin"), [
     (0.01, 0.746793, 0.752253, 0.228496), (1.0, 0.347086, 0.463275, 0.333598), (10.0, 0.0986062, 0.108048, 0.100408)
 ])  # fmt: skip

@@ -712,6 +712,7 @@ def test_run_files_are_refused(changes, said):
     assert str(error.value).startswith(said)
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize(("mass", "damping"), [(1.0, 0.3), (0.0, 0.5)])
 @pytest.mark.parametrize("count", [3, 300])
 def test_errors_without_breaks(mass, damping, count):

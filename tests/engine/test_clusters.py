@@ -86,6 +86,7 @@ def test_clusters_that_share_the_force_when_pinned_again():
     assert abs(found.mean() - other) > 4.5 * stderr
 
 
+@pytest.mark.verification
 def test_bursts():
     """Chi-square over 20 bundles of 2e5 contacts, and their strength. Negative control:
     sqrt law of stiffness in the curve."""
@@ -112,6 +113,7 @@ def test_bursts():
     assert abs(forces.mean() - strength) < allowed
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("substrate", [None, 1.0])
 def test_motors_beside_a_time_stepped_script(substrate):
     """75 clutches that let go at a constant rate; steps of 4 ms miss nothing of this

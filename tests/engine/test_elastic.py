@@ -606,6 +606,7 @@ def test_table_and_replicas(path, tmp_path):
     )
 
 
+@pytest.mark.verification
 def test_nothing_breaks(path, tmp_path):
     nothing = call(
         "run",

@@ -95,6 +95,7 @@ BELL = [
 ]
 
 
+@pytest.mark.verification
 @chosen(("contacts", "force", "again", "exact"), BELL, BELL[3:4])
 def test_mean_life_of_bonds(contacts, force, again, exact):
     """T = sum t_n, t_n = (1 + g (N - n) t_{n+1})/(n k(F/n)): Erdmann and Schwarz

@@ -190,6 +190,7 @@ def test_a_hold_is_the_limit_of_slow_sliding():
     assert scores(slow, held).max() < 4.5
 
 
+@pytest.mark.verification
 def test_a_hold_of_unstretched_contacts():
     """Thresholds age while nothing pulls: the law they have then is that of the slide
     from it."""
@@ -232,6 +233,7 @@ def test_nothing_meets_an_unstretched_contact_at_rest():
     assert length == 5.0
 
 
+@pytest.mark.verification
 def test_steps_are_part_of_the_error_where_they_cost_more():
     """A hold in which thresholds relax 4000 times, D T/x_*^2 = 1000: 2.6e-3 of the
     force instead of 1e-3."""
@@ -245,6 +247,7 @@ def test_steps_are_part_of_the_error_where_they_cost_more():
     assert run.force_stderr[1] > 1.6e-3 * run.force[1]
 
 
+@pytest.mark.verification
 def test_predicted_lives():
     """Within a fifth of what a programme takes."""
     programme = Programme(

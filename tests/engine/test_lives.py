@@ -215,6 +215,7 @@ def test_plain_langevin():
     assert abs(difference(plain.friction, clever.friction)) < 4.5
 
 
+@pytest.mark.verification
 def test_plain_error_bars_and_threads():
     """200 seeds against the exact T = 0 value: unit variance of the scores (p > 1e-4);
     threads do not change bits, and seeds share no lives."""

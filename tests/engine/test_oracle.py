@@ -4,6 +4,7 @@ the time step goes to 0."""
 import functools
 
 import numpy as np
+import pytest
 from cases import chosen
 from oracle import Contacts, settled, simulate
 
@@ -221,6 +222,7 @@ def test_engine_agrees_with_time_steps(name, times):
     )
 
 
+@pytest.mark.verification
 @chosen(("name", "wrong"), WRONG, [*WRONG[:3], WRONG[4], WRONG[10]])
 def test_another_model_fails(name, wrong):
     """Negative controls: contacts of a slightly different kind do not pass for those of

@@ -335,6 +335,7 @@ def test_breaks_of_all_contacts_together():
     )
 
 
+@pytest.mark.verification
 @chosen("count", [1, 2, 10], [2])
 def test_few_contacts_of_three_kinds(count):
     """1e5 lives in ensembles of so few: the exact mean is that of the same division.
@@ -458,6 +459,7 @@ def test_the_mean_field_of_identical_populations_is_that_of_one():
     assert missed(replace(COLD, populations=kinds), COLD) > 1e-2
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("start", ["fresh", "stationary"])
 def test_steps_of_all_kinds_are_repeated(start):
     """As fits of records do, up to rounding of some hundred steps, each found again as

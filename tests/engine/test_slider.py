@@ -179,6 +179,7 @@ def test_agrees_with_small_steps():
 # ---- energy, limits ----
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize(
     ("ensemble", "stage"),
     [
@@ -607,6 +608,7 @@ def test_sqrt_avalanches_in_closed_form():
     assert load_of(Gamma(), 0.25) == pytest.approx(0.8, rel=1e-15, abs=0)
 
 
+@pytest.mark.verification
 def test_friction_over_displacement_is_steady():
     ensemble = Ensemble(count=4_000, **UNIFORM)
     found = pulled(ensemble, 60.0, Stage(0.2), 1201, velocity=1.0, replicas=8)

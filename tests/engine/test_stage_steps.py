@@ -44,6 +44,7 @@ def forgetful(monkeypatch):
     monkeypatch.setattr(Behind, "within", lambda *_: Behind())
 
 
+@pytest.mark.verification
 def test_what_a_step_misses_is_made_up_for(monkeypatch):
     """A mass of 2, 48 ensembles of 512 contacts: with steps of .08 the mean X is that
     with steps of .02, |z| < 4.5. Negative control: where the missed impulse is not

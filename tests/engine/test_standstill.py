@@ -69,6 +69,7 @@ VELOCITIES = (
 follow, passed = compiled(spend), compiled(spent)
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("barrier", [Soft, Stiff])
 def test_mean_rate_however_short(barrier):
     """Against quadrature in 50 digits, for b up to 1e8, from 0 and next to the
@@ -130,6 +131,7 @@ def test_mean_rate_however_short(barrier):
     assert lost > 30
 
 
+@pytest.mark.verification
 @chosen("name", LAWS, ["soft", "mechanical"])
 def test_pieces_add_up(name):
     """The hazard of a piece is that of 30 equal parts, and of 1000, to 1e-8 and 1e-8 of
@@ -469,6 +471,7 @@ def test_paths_in_slow_segments():
 STAGES = [None, Stage(0.5, damping=0.1)]
 
 
+@pytest.mark.verification
 @chosen(
     ("rule", "stage"),
     itertools.product(["logarithmic", "none", "flow", "langevin"], STAGES),

@@ -64,6 +64,7 @@ def chi_square_tail(values):
     )
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize(
     "rows",
     [slice(5, None, 7), pytest.param(slice(None), marks=pytest.mark.verification)],
@@ -243,6 +244,7 @@ def test_forces_whose_squares_underflow(recwarn):
     assert not recwarn.list
 
 
+@pytest.mark.verification
 def test_births_of_contacts_that_are_hardly_ever_pinned():
     """Errors of tables are those of the force while pinned, so that estimates end."""
     law, delay = Table([0.5, 1.0, 2.0]), Delay(1.0)
@@ -477,6 +479,7 @@ def test_discrete_laws():
     assert abs(z_score(annealed.friction, first / mean, 1e-6)) < 4.5
 
 
+@pytest.mark.verification
 def test_scipy_laws():
     """Weibull thresholds with shape 2 are the gamma family with n = 0."""
     for disorder in ("quenched", "annealed"):

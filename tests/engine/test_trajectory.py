@@ -299,6 +299,7 @@ def test_heavy_tailed_stationary_start():
         assert abs(result.force[i] - 1.323188) < 4.5 * result.force_stderr[i]
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize(
     "count", [pytest.param(50, marks=pytest.mark.verification), 1000]
 )
@@ -492,6 +493,7 @@ def test_units_scale_out():
     np.testing.assert_allclose(theirs.t * omega, ours.t, rtol=1e-12)
 
 
+@pytest.mark.verification
 def test_predicted_lives():
     for ensemble, drive in (
         (Ensemble(count=1000), Drive(1.0)),

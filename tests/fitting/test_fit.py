@@ -184,6 +184,7 @@ scale = { start = 1.0, bounds = [0.01, 100.0] }
 """
 
 
+@pytest.mark.verification
 def test_two_populations_are_fitted(tmp_path):
     """Friction without noise of other shares and temperatures is found to 3e-3, where
     the search ends; the best fit's run file has it, too."""
@@ -206,6 +207,7 @@ def test_two_populations_are_fitted(tmp_path):
     assert best["population.1.share"] == found.values["population.1.share"]
 
 
+@pytest.mark.verification
 def test_estimates_come_before_profiles(folder, monkeypatch):
     """A fit that is stopped in its second key has written and printed its estimates, and
     the interval of the first; the same command then ends with the files of a fit that was

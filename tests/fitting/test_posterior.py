@@ -137,6 +137,7 @@ def call(folder, *more):
     )
 
 
+@pytest.mark.verification
 def test_command(folder, monkeypatch):
     monkeypatch.setattr(posterior, "_ENOUGH_TIMES", 3.0)
     done = call(folder, "--posterior", "--workers", "1", "--json")

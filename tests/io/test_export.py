@@ -116,6 +116,7 @@ def test_an_export_is_a_drive_and_a_record(made, tmp_path):
     )
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="threads are listed in /proc")
 def test_tables_are_read_without_threads(made, tmp_path):
     """A process that ends while those of pyarrow start is aborted."""
@@ -186,6 +187,7 @@ def test_a_sweep_that_was_stopped(made, tmp_path):
     assert 1 <= len(list(found.rows())) <= 2
 
 
+@pytest.mark.long
 def test_units(made, tmp_path):
     """Each column has the unit of its numbers, those of the run file if it names them,
     in every table."""

@@ -300,6 +300,7 @@ def segments(v, x):
     ]
 
 
+@pytest.mark.verification
 @chosen(
     ("name", "drive"),
     [(name, drive) for name in SHAPES for drive in DRIVES],

@@ -70,6 +70,7 @@ def test_formulas(law):
     )
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("p", [1e-5, 0.3, 0.1j, 0.2 + 5j])
 @pytest.mark.parametrize("law", LAWS)
 def test_laplace_transform(law, p):
@@ -134,6 +135,7 @@ ENDS = {
 }
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("law", ENDS)
 def test_pinned_share_of_contacts_with_a_constant_rate(law):
     """At t = 1, 2, 4 and 8: not monotone for the gamma law. The renewal equation to

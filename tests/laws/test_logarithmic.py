@@ -532,6 +532,7 @@ def test_slow_growth_is_none(law, stiffness):
         np.testing.assert_allclose(*both, rtol=0, atol=off)
 
 
+@pytest.mark.verification
 def test_ends_of_the_ranges():
     """No warning, finite values, errors below 1e-8, over all scales of v t_c, b and v."""
     with warnings.catch_warnings():
@@ -663,6 +664,7 @@ def test_fresh_start(name):
         )
 
 
+@pytest.mark.verification
 @chosen("name", RUNS, ["gamma sqrt, soft, fixed delay", "sample sqrt, soft"])
 def test_stationary_start(name):
     """Level from X = 0 on, and in the averages over the second half; and not the level

@@ -250,6 +250,7 @@ def test_travel(barrier, kT, w):
                 assert abs(off) < 1e-8, (xi, y, clock, s)
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("barrier", ["soft", "stiff"])
 def test_travel_of_annealed_contacts(barrier):
     """Against quadrature of the pooled rate, to the 1e-6 that its table is good to."""
@@ -378,6 +379,7 @@ def test_plain_births_and_small_births():
 # ---- runs ----
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize(
     ("name", "start"),
     [

@@ -72,6 +72,7 @@ def test_log_erfi(z):
     assert float(log_erfi(z)) == pytest.approx(exact, rel=8 * EPS, abs=8 * EPS)
 
 
+@pytest.mark.verification
 @chosen(
     ("barrier", "a"),
     itertools.product(VANISHING, (1e-6, 0.3, 1.0, 40.0, 1e4, 1e8)),
@@ -248,6 +249,7 @@ def test_inverse_is_the_inverse_of_the_hazard(barrier):
     assert 0.2 < inside.mean() < 0.9  # both ends of a life are met
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("barrier", VANISHING)
 def test_mean_rate_between_two_stretches(barrier):
     """Against quadrature of the rate in 30 digits on intervals that shrink towards the

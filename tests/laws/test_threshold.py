@@ -253,6 +253,7 @@ def ks(sample, cdf):
     return scipy.stats.kstest(sample, cdf).pvalue
 
 
+@pytest.mark.verification
 @chosen("n", SHAPES, [0.0, 2.7])
 def test_gamma_draws(n):
     """KS over 1e5 draws of the engine's streams, p > 1e-5 (false alarm of the whole

@@ -47,6 +47,7 @@ def test_steady_friction(law, eta, drag):
     assert abs(found.value - bare.friction.value) > 4.5 * found.stderr
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize(("law", "eta", "drag"), LAWS[1:])
 def test_a_programme(law, eta, drag):
     """The drag turns with the motion, and a hold has none: 5e4 contacts, |z| < 4.5 at

@@ -93,6 +93,7 @@ def test_every_contact_breaks_once(law, stiffness):
     assert total == pytest.approx(1.0, rel=0, abs=10.0 / most**1.5)
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("stiffness", ["uniform", "sqrt"])
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_integral_of_the_stiffness_weighted_law(law, stiffness):

@@ -134,6 +134,7 @@ def test_modes_of_a_ring_of_eight_blocks():
     assert found.critical_wave_number.value == pytest.approx(1.48907, rel=1e-5, abs=0)
 
 
+@pytest.mark.verification
 def test_command(tmp_path):
     """`eqsim stability` of a chain: the critical wave number of a ring of 8, known from
     another program."""

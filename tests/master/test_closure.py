@@ -119,6 +119,7 @@ def marched(cells, x_f, rate, thermal):
     return np.array([quantity[:: cells // 50] for quantity in means])[:, 2:]
 
 
+@pytest.mark.verification
 @chosen(
     ("x_f", "thermal"),
     itertools.product(
@@ -143,6 +144,7 @@ def test_second_order(x_f, thermal):
         )
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize(
     ("n", "x_i", "x_f", "D", "kT", "v"),
     [

@@ -202,6 +202,7 @@ def test_ends_of_the_ranges():
             assert 0 < m.work_error < 1e-9 * m.work
 
 
+@pytest.mark.verification
 def test_errors_cover_a_refined_result(monkeypatch):
     """The quoted error against the difference from panels resolved a thousand times
     better (to rounding, 2e-14)."""
@@ -219,6 +220,7 @@ def test_errors_cover_a_refined_result(monkeypatch):
 AGED = [(0.3, 2.0, 1.0), (30.0, 12.0, 0.1), (1e8, 10.0, 1e3)]  # b, ln w, D
 
 
+@pytest.mark.verification
 @chosen(
     ("final", "law", "aged"),
     itertools.product((0.5, 10.0), LAWS, AGED),

@@ -82,6 +82,7 @@ def test_table(row):
         assert error < 1e-5
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize(
     ("wrong", "rows"),
     [({"mobility": 1.05}, (0, 2, 6, 7)), ({"final": 1.05}, (0, 1, 3, 5))],
@@ -120,6 +121,7 @@ UNAGED = [
 ]
 
 
+@pytest.mark.verification
 @chosen(  # by default each barrier once
     ("mobility", "case"),
     itertools.product((0.0, 1e-10), UNAGED),
@@ -293,6 +295,7 @@ RNG = np.random.default_rng(2011)
 DRAWN = [drawn(RNG) for _ in range(20)]
 
 
+@pytest.mark.verification
 @chosen("case", DRAWN, [DRAWN[0], DRAWN[3]], ids=str)  # by default a barrier and none
 def test_error_estimate(case, monkeypatch):
     """Halving cells and steps changes nothing by more than the quoted errors, at any
@@ -313,6 +316,7 @@ def test_error_estimate(case, monkeypatch):
     assert np.all(change < coarse.errors[0, inside] + 5e-5)
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize(
     "case",
     [

@@ -63,9 +63,10 @@ def test_share_of_small_differences(middle, differences):
 @pytest.mark.parametrize(
     ("law", "heat"),
     [
-        (
+        pytest.param(
             NoThresholds(1.0),
             Thermal(barrier="bell", off_rate=1.0, force_scale=math.inf),
+            marks=pytest.mark.verification,
         ),
         (Gamma(2.0), Thermal(kT=0.3, attempt_frequency=20.0)),
     ],

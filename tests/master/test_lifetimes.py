@@ -134,6 +134,7 @@ def test_times_between_that_overflow():
     assert moments(cluster)[0] == pytest.approx(expected, rel=1e-12, abs=0)
 
 
+@pytest.mark.verification
 def test_many_contacts_by_mpmath():
     N, again = 100_000, 1e-3
     cluster = chain(N, 0.7 * N, again)

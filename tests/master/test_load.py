@@ -60,6 +60,7 @@ def test_a_step_up_after_one_down():
     assert np.abs(exact.force - known).max() < 1e-9
 
 
+@pytest.mark.verification
 def test_simulation_beside_the_reference():
     """Forces at the ends of segments along steps and a rate, of 8 seeds: 40 scores in
     all, none above 4.5 (3e-4), their mean square 1 within 4.5 of its scatter .22; those

@@ -329,6 +329,7 @@ def test_hazard_is_the_inverse_of_the_stretch(law):
     assert tried > 20
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("barrier", ["soft", "stiff"])
 def test_clocks_along_a_segment(barrier):
     """Where a contact breaks, or what its clock has left, against the hazard added up

@@ -364,6 +364,7 @@ def test_identical_stiff_contacts_follow_a_power_of_a_logarithm():
     assert 1 + plain > 10 * (1 + powered)
 
 
+@pytest.mark.verification
 def test_fast_fluctuations():
     """D = 2.5e6, x_*f = 10, T = 0: thresholds relax within 1e-5 of a life, and break at
     the flux of the final law into xi = x, 4 D_v x^2/x_*f^4 (derived, n = 1): C =

@@ -126,6 +126,7 @@ for pattern in ("*.nbi", "*.nbc", "*.sha256"):
     tiny.run(code)
 
 
+@pytest.mark.long
 def test_processes_that_start_at_once(tiny):
     """One of them compiles, and the others load."""
     every = [tiny.start() for _ in range(4)]
@@ -259,6 +260,7 @@ print(kernel_folder.compiling_since())
     return process
 
 
+@pytest.mark.long
 def test_a_process_waits_for_the_one_that_compiles(tiny):
     with another_process_compiles(tiny):
         process = one_that_waits(tiny, patience=100.0)
@@ -268,6 +270,7 @@ def test_a_process_waits_for_the_one_that_compiles(tiny):
     assert tiny.run() == LOADED
 
 
+@pytest.mark.long
 def test_a_process_whose_patience_ends_compiles_for_itself(tiny):
     with another_process_compiles(tiny):
         process = one_that_waits(tiny, patience=0.2)

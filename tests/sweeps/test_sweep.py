@@ -357,6 +357,7 @@ print(json.dumps([eqsim.__file__, plan.ids, [*map(seed_of, plan.ids)], sorted(st
 """
 
 
+@pytest.mark.long
 def test_a_comment_in_the_sources_changes_no_point(small, tmp_path):
     """Every source file is longer by a comment: ids and seeds are the same, and a
     half-done folder goes on."""
@@ -881,6 +882,7 @@ def test_without_a_cluster_nothing_is_left(small, tmp_path):
     assert not (tmp_path / "o").exists()
 
 
+@pytest.mark.long
 def test_files_can_be_read_by_those_the_umask_allows(small, tmp_path):
     before = os.umask(0o027)
     try:

@@ -72,6 +72,7 @@ def test_c_averages_are_exact(case):
     assert abs(value - wrong) > 5 * error
 
 
+@pytest.mark.long
 @needs_compiler
 @by_case([CASES[2], GENERAL])
 def test_c_gives_the_same_bits_on_two_threads_and_the_same_lives_without_avx512(
@@ -100,6 +101,7 @@ def test_plain_averages_of_eqsim_are_exact():
     )
 
 
+@pytest.mark.long
 def test_table_and_picture(tmp_path):
     rows = [
         {"job": job.__name__, **job(GENERAL, COMPILE, 2, 1)}
@@ -132,6 +134,7 @@ def test_parts_of_a_life(tmp_path):
     assert (tmp_path / "parts.png").stat().st_size > 10_000
 
 
+@pytest.mark.long
 @by_case([CASES[0], GENERAL, CASES[4]])
 def test_scalar_contacts_follow_a_programme(case):
     """Forces at the ends of ten segments: steps, holds, reversals."""
@@ -156,6 +159,7 @@ def test_scalar_contacts_follow_a_programme(case):
     )
 
 
+@pytest.mark.long
 @by_case([CASES[0], GENERAL, CASES[4]])
 def test_scalar_slider_behind_a_spring(case):
     """The mean force over the second half of the time, of ten sliders each; false
@@ -171,6 +175,7 @@ def test_scalar_slider_behind_a_spring(case):
     assert stats.ttest_ind(other, ours, equal_var=False).pvalue < 1e-5
 
 
+@pytest.mark.long
 def test_calls_are_counted():
     """Steps are those between the instants recorded, at least, and counting changes
     nothing."""

@@ -218,6 +218,7 @@ def test_the_law_works_in_run_files(copy, tmp_path):
     )
 
 
+@pytest.mark.long
 def test_the_key_works_in_run_files(copy, tmp_path):
     path = tmp_path / "run.toml"
     load = "[interface]\nnormal_load = 100.0\n"
@@ -259,6 +260,7 @@ def test_code_is_written_like_the_others(command, part):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.long
 def test_the_drive_is_simulated_and_solved_for():
     """Forces at 16 ends of segments of an oscillation against the renewal equation, |z|
     < 4.5: false alarm 1e-4 for a fresh seed. Negative control: an amplitude 5 % off."""

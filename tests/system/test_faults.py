@@ -488,6 +488,7 @@ def test_anyone_can_read_what_is_written(tmp_path):
     assert (tmp_path / "new" / "folder").stat().st_mode & 0o777 == 0o755
 
 
+@pytest.mark.long
 def test_a_sweep_clears_what_a_killed_command_has_left(run_file, tmp_path):
     out = tmp_path / "o"
     (out / ".eqsim-folder").mkdir(parents=True)
@@ -583,6 +584,7 @@ def test_no_home_and_no_temporary_folder(run_file, tmp_path):
     assert names(tmp_path / "o") == FILES
 
 
+@pytest.mark.long
 def test_a_sweep_on_a_full_disk_names_the_file(run_file, tmp_path):
     """Rows that were written before remain; the rest is one line."""
     out = tmp_path / "o"
@@ -624,6 +626,7 @@ def test_output_that_cannot_be_written(run_file, tmp_path, command):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "command",
     [

@@ -983,6 +983,7 @@ def test_many_processes(tmp_path):
     assert set(codes) == {0, 2}
 
 
+@pytest.mark.long
 def test_names_no_terminal_can_show(tmp_path):
     """A name that is no UTF-8, and a title that the terminal's encoding lacks."""
     path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/n\xff.toml"))

@@ -470,6 +470,7 @@ def test_no_fluctuations_where_the_stationary_start_is_refused():
     assert made(fluctuating(at(warm, 2.2e-4), wide)) != []
 
 
+@pytest.mark.verification
 def test_averages_that_call_themselves_unreliable_are_not_scored():
     """Few contacts that live long carry the force, and 2^16 lives of fluctuating
     thresholds say that they miss some."""
