@@ -261,11 +261,14 @@ def sample_of(tmp_path, text, **more):
     "text",
     [
         {"thermal": {"kT": 0.1}, "delay": {"time": 2.0, "law": "exponential"}},
-        {
-            "thermal": {"kT": 0.1},
-            "disorder": "annealed",
-            "thresholds": {"law": "weibull", "shape": 2.5},
-        },
+        pytest.param(
+            {
+                "thermal": {"kT": 0.1},
+                "disorder": "annealed",
+                "thresholds": {"law": "weibull", "shape": 2.5},
+            },
+            marks=pytest.mark.verification,
+        ),
     ],
     ids=["quenched", "annealed"],
 )

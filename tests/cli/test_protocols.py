@@ -159,6 +159,7 @@ def test_sweep_and_plot(path, tmp_path):
     assert call("replay", out / "sweep.parquet").exit_code == 0
 
 
+@pytest.mark.verification
 def test_reference_and_info(path):
     curve = json.loads(call("reference", path, "--transient", "--json").output)
     assert len(curve["force"]) == len(curve["t"]) == 81
@@ -226,6 +227,7 @@ STEPS = {
 }
 
 
+@pytest.mark.verification
 @chosen("case", STEPS, [("uniform", 0.1, 1.0), ("sqrt", 1.0, 0.1)])
 def test_effects_of_velocity_steps(case):
     """Direct effect, evolution effect and memory length of the exact means: numbers of

@@ -164,6 +164,7 @@ def test_precursors_at_exact_loads():
     assert events["breaks"][:6].tolist() == [1, 1, 1, 1, 2, 2]
 
 
+@pytest.mark.verification
 def test_stiff_springs_to_the_plate_make_a_rigid_slider():
     """Friction over time of blocks that the plate holds at D to 1e-6. Negative control: a
     temperature twice as high."""

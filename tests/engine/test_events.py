@@ -106,6 +106,7 @@ def test_mean_life_of_bonds(contacts, force, again, exact):
     assert abs(life_score(bonds, force, 100_000, exact, **shared)) < 4.5
 
 
+@pytest.mark.verification
 def test_contacts_that_form_again_share_the_force():
     """Unstretched ones bear nothing at first, and the cluster is lost sooner."""
     again = replace(CLUSTER, delay=Delay(1.0, "exponential"))
@@ -264,6 +265,7 @@ def test_a_stronger_motor_is_told_apart():
     assert np.abs(motor_scores(10, 0.5, 1.1 * STALL)).max() > 10.0
 
 
+@pytest.mark.verification
 def test_long_run_of_a_rigid_motor():
     """With many contacts v = u (1 - f(v)/s), to the error of the run and 1/N."""
     ensemble = replace(CLUTCHES, count=4000)

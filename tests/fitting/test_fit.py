@@ -406,6 +406,7 @@ def test_temperatures(folder):
     assert not found.rejected
 
 
+@pytest.mark.verification
 def test_compared_and_rejected(folder):
     """Data of quenched contacts, to .2 %: the annealed model is rejected, exit code 1;
     the right one is exact."""
@@ -748,6 +749,7 @@ def test_starts_are_spread(folder):
     np.testing.assert_array_equal(every, starts(problem, 8, 1))
 
 
+@pytest.mark.verification
 def test_intervals_cover(folder):
     """40 sets of data: how often the profile is below its level at the truth, one
     constrained fit each. The number of misses of 95 % is binomial: more than 7 have a

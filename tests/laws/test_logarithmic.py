@@ -276,6 +276,7 @@ def check_lives(law, path, b, log_w, xi0):
             )
 
 
+@pytest.mark.verification
 @chosen(
     ("path", "beta"),
     itertools.product(PATHS, (1e-3, 0.05, 1.0, 30.0)),
@@ -647,6 +648,7 @@ def scores(result, exact):
     return np.concatenate(found)
 
 
+@pytest.mark.verification
 @chosen("name", RUNS, ["gamma sqrt, soft, fixed delay", "sample sqrt, soft"])
 def test_fresh_start(name):
     """Force and pinned fraction at 20 points against the renewal equation; a wrong t_c,

@@ -411,6 +411,7 @@ def test_runs(name, start):
             assert abs(z_score(late, float(row[name]))) < LIMIT
 
 
+@pytest.mark.verification
 def test_same_bits_and_units():
     """Whatever the threads, and in nanometres."""
     newborn = Newborn("uniform", low=-0.3, high=0.5)
@@ -494,6 +495,7 @@ def test_time_steps_agree(name):
         assert worst(dataclasses.replace(c, careless=True)) > LIMIT
 
 
+@pytest.mark.verification
 def test_one_segment_has_the_bits_of_the_constant_drive():
     ensemble = Ensemble(
         thermal=Thermal(0.2),

@@ -86,7 +86,6 @@ LAWS = {
         ("soft sqrt, exponential delay", "stationary"),
         ("stiff sqrt", "fresh"),
         ("annealed soft uniform, fixed delay", "fresh"),
-        ("logarithmic uniform", "fresh"),
         ("identical", "stationary"),
         ("table", "fresh"),
     ],

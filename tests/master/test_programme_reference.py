@@ -296,6 +296,7 @@ LEVELS = {  # velocity: friction at T = 0, uniform and sqrt
 }
 
 
+@pytest.mark.verification
 @chosen("velocity", LEVELS, [0.1, 10.0])
 @pytest.mark.usefixtures("strengthen")
 def test_level_of_contacts_that_strengthen(velocity):
@@ -342,6 +343,7 @@ HEALING = {  # hold: peak at T = 0, v = 1, uniform and sqrt, over a grid of .02
 }
 
 
+@pytest.mark.verification
 @chosen("hold", HEALING, [1.0, 1e4])
 @pytest.mark.usefixtures("strengthen")
 def test_healing_of_contacts_that_strengthen(hold):

@@ -141,6 +141,7 @@ def test_legend_covers_no_data():
     assert axes.width > 0.5 * whole.width
 
 
+@pytest.mark.long
 def test_two_columns_of_a_table_on_a_column_of_a_page():
     """Text has 7 or 8 points and is within the page, 85 mm wide, whose height follows
     the legend; without wrapping (control) a long title is not."""
@@ -217,6 +218,7 @@ def test_command_writes_one_picture_outside_the_dataset(folder, tmp_path):
     assert (tmp_path / "mu-mu-friction.png").exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("suffix", "begin"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")]
 )

@@ -199,6 +199,7 @@ def test_a_law_that_lacks_something_is_refused_in_a_line(copy, tmp_path, drive):
     assert len(done.stderr.strip().splitlines()) == 1
 
 
+@pytest.mark.long
 def test_the_law_works_in_run_files(copy, tmp_path):
     """And an unknown one is refused with the list of laws."""
     path = tmp_path / "run.toml"

@@ -169,6 +169,7 @@ def test_negative_controls(size, wrong, of, kinds, monkeypatch):
     assert kinds <= {v.kind for v in result.verdicts if not v.passed}
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize(
     "suite",
     [Suite(3, 1), pytest.param(SUITES["quick"], marks=pytest.mark.verification)],
