@@ -298,8 +298,10 @@ class _Solution:
             return np.asarray(np.log(C) - log_C)
 
         start = np.log(self.stretch)
-        found = optimize.newton(excess, start, x1=start + excess(start), tol=_SETTLED_C)
-        self.stretch = np.exp(found)
+        off = excess(start)
+        if np.abs(off).max() > _SETTLED_C:  # else SciPy refuses to begin
+            found = optimize.newton(excess, start, x1=start + off, tol=_SETTLED_C)
+            self.stretch = np.exp(found)
 
     def missed_rate(self, panels: Panels, of: _PanelIntegrals) -> Array:
         """Errors of C and work by those of the pooled rate, from a finer rule in the

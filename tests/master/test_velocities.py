@@ -148,6 +148,20 @@ def test_annealed_contacts_that_age(law, kT, n, final, D):
         assert found.stretch_error[i] < 2e-8 * stretch
 
 
+@pytest.mark.parametrize("kT", [0.1, 0.3])
+def test_fixed_points_that_are_known_to_the_last_bit(kT):
+    """One velocity at a time: where a fixed point is found again with more panels, it
+    may be known to the last bit already. As all together, within twice the errors."""
+    aging = Aging("flow", rate=0.1, x_star_final=1.0)
+    ensemble = Ensemble(Gamma(1.0, 0.1), Thermal(kT), aging=aging, disorder="annealed")
+    velocities = np.logspace(-3, 1, 40)
+    together = curve(ensemble, velocities)
+    for i, velocity in enumerate(velocities):
+        alone = reference(ensemble, Drive(float(velocity))).friction
+        error = 2.0 * (alone.stderr + together.friction_error[i])
+        assert alone.value == pytest.approx(together.friction[i], rel=0, abs=error)
+
+
 def test_mixtures_end_at_their_ends():
     """Very slow aging leaves newborn thresholds, very fast aging final ones."""
     given = {"thermal": Thermal(0.1), "disorder": "annealed", **UNIFORM}
