@@ -27,7 +27,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from scipy import optimize
 
 from eqsim.errors import InputError
 from eqsim.laws.barrier.pooled import pooled_rate
@@ -71,6 +70,8 @@ _SHARE_OF_S = np.exp(_LOG_S - np.exp(_LOG_S))
 _SHARE_OF_S /= _SHARE_OF_S.sum()
 # The relative step towards the fixed point C that ends the search.
 _SETTLED_C = 1e-12
+# Most steps of the secant rule.
+_MOST_SECANTS = 50
 # The relative change of C whose effect on C tells how errors grow.
 _CHANGE_OF_C = 1e-4
 
@@ -297,11 +298,19 @@ class _Solution:
             C = self.integrals(panels, self.weights(np.exp(log_C))).total[0]
             return np.asarray(np.log(C) - log_C)
 
-        start = np.log(self.stretch)
-        off = excess(start)
-        if np.abs(off).max() > _SETTLED_C:  # else SciPy refuses to begin
-            found = optimize.newton(excess, start, x1=start + off, tol=_SETTLED_C)
-            self.stretch = np.exp(found)
+        old = np.log(self.stretch)
+        off = excess(old)
+        new = old + off
+        for _ in range(_MOST_SECANTS):
+            fresh = excess(new)
+            if np.abs(new - old).max() < _SETTLED_C:
+                break
+            with np.errstate(divide="ignore", invalid="ignore"):
+                step = -fresh * (new - old) / (fresh - off)
+            # where both are known to the last bit, or the secant leads away
+            step = np.where(np.isfinite(step) & (np.abs(step) < 2.0), step, fresh)
+            old, off, new = new, fresh, new + step
+        self.stretch = np.exp(new)
 
     def missed_rate(self, panels: Panels, of: _PanelIntegrals) -> Array:
         """Errors of C and work by those of the pooled rate, from a finer rule in the

@@ -19,6 +19,7 @@ from eqsim import (
     InputError,
     Thermal,
     reference,
+    steady,
 )
 from eqsim.laws.barrier import Soft, Stiff, pooled
 from eqsim.laws.barrier.pooled import pooled_rate
@@ -160,6 +161,29 @@ def test_fixed_points_that_are_known_to_the_last_bit(kT):
         alone = reference(ensemble, Drive(float(velocity))).friction
         error = 2.0 * (alone.stderr + together.friction_error[i])
         assert alone.value == pytest.approx(together.friction[i], rel=0, abs=error)
+
+
+@pytest.mark.parametrize(
+    ("off_rate", "force_scale", "law", "rate", "final", "v"),
+    [
+        (0.3943, 0.9579, Gamma(1.0, 0.8914), 1.676e-4, 9.778, 0.1237),
+        (0.01654, 0.1142, Gamma(1.0, 0.4685), 1.469e-3, 1.841, 1.093e-3),
+    ],
+)
+def test_fixed_points_far_from_the_guess(off_rate, force_scale, law, rate, final, v):
+    """Bonds whose lives are a tenth of a threshold, where the secant rule leads away at
+    first: as simulated, |z| < 4.5 (7e-6)."""
+    contacts = Ensemble(
+        law,
+        Thermal(barrier="bell", off_rate=off_rate, force_scale=force_scale),
+        aging=Aging("flow", rate=rate, x_star_final=final),
+        disorder="annealed",
+    )
+    exact = reference(contacts, Drive(v)).friction
+    found = steady(contacts, Drive(v), rel_error=1e-3).friction
+    error = math.hypot(found.stderr, exact.stderr)
+    assert abs(found.value - exact.value) < 4.5 * error
+    assert error < 3e-3 * exact.value
 
 
 def test_mixtures_end_at_their_ends():
