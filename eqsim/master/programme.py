@@ -359,10 +359,12 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
 
 
 def heat_is_idle(ensemble: Ensemble, drive: Drive | Programme) -> bool:
-    """True if heat could break contacts, and is left out along a programme. Raises
-    InputError as `course_of` does."""
+    """True if heat could break contacts, and is left out along a programme, whatever
+    its load. Raises InputError as `course_of` does."""
     if not isinstance(drive, Programme):
         return False
+    even = tuple(replace(each, load=None, load_rate=None) for each in drive.segments)
+    drive = replace(drive, segments=even)
     kinds = [kind.contacts for kind in ensemble.kinds]
     return all(course_of(contacts, drive)[1].shift > 0.0 for contacts in kinds)
 

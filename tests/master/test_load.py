@@ -31,6 +31,24 @@ def test_steps_by_closed_form():
     assert np.abs(exact.pinned - 1.0).max() < 1e-12
 
 
+def test_a_run_file_with_a_load(tmp_path):
+    """Contacts that heat may break are simulated beside the exact mean."""
+    path = tmp_path / "run.toml"
+    path.write_text("""
+[contacts]
+count = 2000
+stiffness_law = "uniform"
+[thermal]
+kT = 0.1
+[drive]
+start = "fresh"
+programme = [{ velocity = 0.1, distance = 1.0 }, { velocity = 0.1, distance = 1.0, load = 1.2 }]
+""")
+    done = call("run", path, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert "no exact curve" not in done.output
+
+
 def test_rates_by_closed_form():
     """After a step down to 0.8 a load that grows by 1 in displacement adds X^2/2; one
     that falls in a hold takes the force along. 4.5e-16 is rounding of sums of 20 terms
