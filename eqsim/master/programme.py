@@ -209,9 +209,9 @@ def _in_finer_cells(
     contacts: Reduced, y: Array, above: Array, log_rate: Array, off: float
 ) -> tuple[Array, Array, Array]:
     """Halve cells of tables until interpolation of ln(rate) is off by no more than `off`
-    where this matters: weighted with the fastest rate in the cell, up to 1, and with the
-    share of thresholds that are greater. A law has cells where thresholds are, and a rate also changes
-    where there are none."""
+    where this matters: weighted with the fastest rate in the cell, up to 1, and with
+    the share of thresholds that are greater. A law has cells where thresholds are, and
+    a rate also changes where there are none."""
     rows = np.vstack((y, above, log_rate))
     cells = np.flatnonzero(np.diff(y) > 0.0)
     for _ in range(_MOST_HALVINGS):

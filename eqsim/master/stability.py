@@ -78,7 +78,7 @@ _LIVES_OF_A_CYCLE = 10.0
 # Errors by which a rate, or a stiffness, must differ from a border.
 _SURE = 2.0
 # How many times as many panels of ages as usual are tried.
-_FINER_AGES = (1, 4, 16)
+_FINER_AGES = (1, 4)
 
 Found = TypeVar("Found", bound=tuple[Any, float])
 
@@ -233,8 +233,8 @@ class SteadyPull(NamedTuple):
         )
 
     def resolved(self, find: Callable[[Loops], Found]) -> tuple[Found, Loops]:
-        """What `find` finds, of which [1] is a frequency, with loops that resolve this,
-        and these loops."""
+        """What `find` finds, of which [1] is a frequency, with loops that resolve this
+        if any do, and these loops."""
         for finer in _FINER_AGES:
             loops = self.loops(finer)
             found = find(loops)
@@ -313,14 +313,14 @@ def critical_stiffness(pulled: SteadyPull) -> Estimate:
     InputError."""
     if pulled.method == NEUTRAL:
         return Estimate(0.0, 0.0, 0)
-
-    (stiffness, _), loops = pulled.resolved(
+    (stiffness, frequency), loops = pulled.resolved(
         lambda each: border_of(each.fine, each.scan)
     )
     if math.isinf(stiffness):
         return Estimate(math.inf, 0.0, 0)
     rough = border_of(loops.coarse, loops.scan).stiffness
-    return Estimate(stiffness, abs(stiffness - rough) + 1e-12, 0)
+    error, reliable = abs(stiffness - rough) + 1e-12, loops.fine.resolves(frequency)
+    return Estimate(stiffness, error, 0, None, reliable)
 
 
 def border(
@@ -358,14 +358,14 @@ def _mode(pulled: SteadyPull) -> Mode:
         p = slowest_of(loops.fine, guesses, stiffness)
         return p, abs(p.imag) if p else 0.0
 
-    (p, _), loops = pulled.resolved(find)
+    (p, frequency), loops = pulled.resolved(find)
     if p is None:
         return Mode(NO_VALUE, NO_VALUE)
     near = roots_from(loops.coarse, np.array([p]), stiffness)
     rough = [*near.tolist(), math.inf][0]
     rate = pulled.velocity / pulled.ensemble.thresholds.scale
-    size = abs(p) * rate
-    return mode(p * rate, abs(p - rough) * rate + 1e-9 * size, 1e-9 * size)
+    size, reliable = abs(p) * rate, loops.fine.resolves(frequency)
+    return mode(p * rate, abs(p - rough) * rate + 1e-9 * size, 1e-9 * size, reliable)
 
 
 def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:

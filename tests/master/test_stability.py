@@ -585,6 +585,7 @@ def test_panels_of_ages_resolve_the_period():
     that a period of a seventieth of a life is shorter than have one that grows."""
     drive = pulled(0.1, damping=0.0)
     found = stability(ABOVE, drive, critical=False)
+    assert found.growth.reliable
     assert found.period.value is None
     assert found.growth.stderr < 1e-4
     assert found.growth.value < 0.0
