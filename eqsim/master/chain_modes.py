@@ -182,7 +182,7 @@ def chain_modes(
     springs = _Links(max(K_d, _FAINT), coupling, chain.bulk_damping * rate)
     lowest = _lowest(chain, K_d)
     border, (fine, coarse, scan) = pulled.resolved(
-        lambda each: border_of(each.coarse, each.scan)
+        pulled.loops(), lambda each: border_of(each.coarse, each.scan)
     )
     last = _BEYOND * math.sqrt(max(border.stiffness, springs.plate) / coupling)
     grid = np.linspace(0.0, min(last, math.pi), _WAVE_NUMBERS)

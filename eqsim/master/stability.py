@@ -77,8 +77,8 @@ _SINGULAR = 1e-6
 _LIVES_OF_A_CYCLE = 10.0
 # Errors by which a rate, or a stiffness, must differ from a border.
 _SURE = 2.0
-# How many times as many panels of ages as usual are tried.
-_FINER_AGES = (1, 4)
+# How many times as many panels of ages as usual resolve a higher frequency.
+_FINER_AGES = 4
 
 Found = TypeVar("Found", bound=tuple[Any, float])
 
@@ -232,14 +232,15 @@ class SteadyPull(NamedTuple):
             *(loop_of(contacts, pull, x._replace(ages=finer * x.ages)) for x in nodes)
         )
 
-    def resolved(self, find: Callable[[Loops], Found]) -> tuple[Found, Loops]:
-        """What `find` finds, of which [1] is a frequency, with loops that resolve this
-        if any do, and these loops."""
-        for finer in _FINER_AGES:
-            loops = self.loops(finer)
+    def resolved(
+        self, loops: Loops, find: Callable[[Loops], Found]
+    ) -> tuple[Found, Loops]:
+        """Find something, [1] of which is a frequency, with these loops, or with finer
+        ones where they do not resolve it; and the loops that were taken."""
+        found = find(loops)
+        if not loops.fine.resolves(found[1]):
+            loops = self.loops(_FINER_AGES)
             found = find(loops)
-            if loops.fine.resolves(found[1]):
-                break
         return found, loops
 
 
@@ -314,7 +315,7 @@ def critical_stiffness(pulled: SteadyPull) -> Estimate:
     if pulled.method == NEUTRAL:
         return Estimate(0.0, 0.0, 0)
     (stiffness, frequency), loops = pulled.resolved(
-        lambda each: border_of(each.fine, each.scan)
+        pulled.loops(), lambda each: border_of(each.fine, each.scan)
     )
     if math.isinf(stiffness):
         return Estimate(math.inf, 0.0, 0)
@@ -351,14 +352,14 @@ def _mode(pulled: SteadyPull) -> Mode:
     """The slowest perturbation of steady sliding."""
     if pulled.method == NEUTRAL:
         return Mode(Estimate(0.0, 0.0, 0), NO_VALUE)
-    stiffness, scan = pulled.stage.stiffness, pulled.loops().scan
-    guesses = guesses_of(scan, stiffness)
+    stiffness, usual = pulled.stage.stiffness, pulled.loops()
+    guesses = guesses_of(usual.scan, stiffness)
 
     def find(loops: Loops) -> tuple[complex | None, float]:
         p = slowest_of(loops.fine, guesses, stiffness)
         return p, abs(p.imag) if p else 0.0
 
-    (p, frequency), loops = pulled.resolved(find)
+    (p, frequency), loops = pulled.resolved(usual, find)
     if p is None:
         return Mode(NO_VALUE, NO_VALUE)
     near = roots_from(loops.coarse, np.array([p]), stiffness)

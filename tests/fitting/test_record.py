@@ -285,7 +285,7 @@ def slope(problem, index, step):
 
 
 def change(problem, index, step):
-    """Of a derivative from a step of 1e-3 to a longer one, relative."""
+    """Relative change of a derivative from a step of 1e-3 to a longer one."""
     fine, coarse = slope(problem, index, 1e-3), slope(problem, index, step)
     return np.linalg.norm(coarse - fine) / np.linalg.norm(fine)
 
@@ -315,7 +315,7 @@ def test_given_steps_make_predictions_smooth():
 
 @pytest.mark.verification
 def test_warm_records_have_intervals():
-    """Of a record of contacts that heat breaks: chi-square rises along a profile as the
+    """Chi-square of a record of contacts that heat breaks rises along a profile as the
     covariance of derivatives says, to 10 %; so these must hold to half of that over a
     quarter of a standard deviation. Those of solves that choose their own steps do
     not."""

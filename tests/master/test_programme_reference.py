@@ -171,16 +171,9 @@ def test_heat_breaks_contacts_between_two_kinds_of_thresholds():
     held for 4: of 4e5 lines of lives, which end at a threshold or where heat breaks a
     contact, whichever is first. |z| < 4.5 before and after the hold, false alarm 1e-5.
     Negative control: a temperature 5 % higher."""
-    rng, v, slide, hold, kT, count = (
-        np.random.default_rng(1),
-        0.5,
-        0.8,
-        4.0,
-        0.2,
-        400_000,
-    )
-    edges = np.array([0.0, 0.1, 1.0, 1.1])
-    law = stats.rv_histogram(([6.0, 0.0, 4.0], edges), density=False)
+    rng, count = np.random.default_rng(1), 400_000
+    v, slide, hold, kT = 0.5, 0.8, 4.0, 0.2
+    law = stats.rv_histogram(([6.0, 0.0, 4.0], [0.0, 0.1, 1.0, 1.1]), density=False)
     x, xi = np.linspace(0.0, slide, 4001), np.linspace(0.0, 1.1, 11_001)[1:]
     share = np.diff(law.cdf(np.append(0.0, xi)))
     heights = np.append((share * np.exp(-(xi**2) / (2.0 * kT)))[::-1].cumsum()[::-1], 0)

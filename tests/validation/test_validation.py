@@ -367,8 +367,8 @@ def test_sample(monkeypatch):
 
 @pytest.mark.verification
 def test_delays_are_in_units_of_a_life():
-    """What the sampler takes for the mean travel of a life, which is positive wherever
-    contacts are born, is within a factor of 4 of it at three points in four."""
+    """The sampler's mean travel of a life, which is positive wherever contacts are born,
+    is within a factor of 4 of the exact one at three points in four."""
     off = []
     for _, ensemble, v in sample(20, 4):
         if not ensemble.fluctuates:
