@@ -1,7 +1,7 @@
 """Temperature, attempt frequency and barrier of thermally activated breaking."""
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 from eqsim.errors import (
@@ -38,7 +38,7 @@ class Pathway(NamedTuple):
     force: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Thermal:
     """Thermally activated breaking.
 
@@ -67,16 +67,17 @@ class Thermal:
     --------
     >>> Thermal(kT=0.1, attempt_frequency=10.0)
     Thermal(kT=0.1, attempt_frequency=10.0, barrier='soft')
-    >>> bond = Thermal(barrier="bell", off_rate=0.1, force_scale=2.0)
+    >>> Thermal(barrier="bell", off_rate=0.1, force_scale=2.0)
+    Thermal(force_scale=2.0, off_rate=0.1, barrier='bell')
     """
 
     kT: float = 0.0
     attempt_frequency: float = 1.0
     barrier: str = "soft"
-    off_rate: float | None = field(default=None, repr=False)
-    force_scale: float | None = field(default=None, repr=False)
-    catch: Pathway | None = field(default=None, repr=False)
-    slip: Pathway | None = field(default=None, repr=False)
+    off_rate: float | None = None
+    force_scale: float | None = None
+    catch: Pathway | None = None
+    slip: Pathway | None = None
 
     def __post_init__(self) -> None:
         require_number("kT", self.kT, **NOT_NEGATIVE)
@@ -98,6 +99,10 @@ class Thermal:
                     _check_bond("rate", path.rate, "force", path.force)
         if self.off_rate is not None and self.force_scale is not None:
             _check_bond("off_rate", self.off_rate, "force_scale", self.force_scale)
+
+    def __repr__(self) -> str:
+        names = (*BARRIERS[self.barrier].keys, "barrier")
+        return f"Thermal({', '.join(f'{n}={getattr(self, n)!r}' for n in names)})"
 
     @property
     def active(self) -> bool:
