@@ -45,6 +45,8 @@ class Totals:
         self.replica_square = np.zeros_like(self.replica_sum)
         self.kept = replicas * self.replica_sum.size <= MOST_SERIES
         self.forces: list[tuple[int, Array]] = []  # with their replica
+        # machine code of the kernel that follows contacts, by what the job calls it
+        self.code: dict[int, Callable[..., Any]] = {}
 
     def close_replica(self, job: "Job", contacts: int, replica: int) -> None:
         """Add the force of the ensemble just simulated, number `replica`, and clear the
@@ -52,7 +54,7 @@ class Totals:
         if self.scratch is self.deposits:
             return
         scale, square = job.replica_scales
-        force = job.moments(self.scratch, contacts).force
+        force = job.force(self.scratch, contacts)
         self.replica_sum += np.rint(force * scale).astype(np.int64)
         self.replica_square += np.rint(force**2 * square).astype(np.int64)
         if self.kept:
@@ -97,6 +99,9 @@ class Job(Protocol):
 
     def moments(self, deposits: Array, contacts: int) -> Moments:
         """Mean force, pinned fraction and variance of the force at every instant."""
+
+    def force(self, deposits: Array, contacts: int) -> Array:
+        """The mean force of `moments` alone."""
 
 
 class _Division(NamedTuple):

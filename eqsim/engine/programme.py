@@ -144,10 +144,14 @@ class Steps(NamedTuple):
                 begin_stationary(self.before, self.start, self.key, start)
             for c, run, scales, _, row in self.steps:
                 record = Recorder.of(c, run, scales, start, total, row)
-                if recorded_alone(c, run):
-                    follow_alone(record, self.key, begin, end)
-                else:
-                    follow(c, record, begin, end, *idle_lanes(c, self.key))
+                alone = recorded_alone(c, run)
+                kernel = follow_alone if alone else follow
+                arguments: tuple[Any, ...] = record, self.key, begin, end
+                if not alone:
+                    arguments = c, record, begin, end, *idle_lanes(c, self.key)
+                if row not in total.code:
+                    total.code[row] = kernel.compiled_for(*arguments)
+                total.code[row](*arguments)
                 if total.stop[0]:
                     return
 
@@ -155,10 +159,21 @@ class Steps(NamedTuple):
         parts = []
         for _, run, scales, drag, row in self.steps:
             found = recorder.moments(deposits[row:], scales, run, contacts, drag)
-            # A segment begins where another has ended.
-            force, pinned, variance = (x[1 if row else 0 :] for x in found)
+            force, pinned, variance = (x[_first_shown(row) :] for x in found)
             parts.append((run.sign * force, pinned, variance))
         return Moments(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def force(self, deposits: Array, contacts: int) -> Array:
+        parts = []
+        for _, run, scales, drag, row in self.steps:
+            force = recorder.mean_force(deposits[row:], scales, run, contacts, drag)
+            parts.append(run.sign * force[_first_shown(row) :])
+        return np.concatenate(parts)
+
+
+def _first_shown(row: int) -> int:
+    """First record of a segment that is shown: each begins where another ended."""
+    return 1 if row else 0
 
 
 def constant_drive(

@@ -299,23 +299,48 @@ def moments(
     deposits: Array, scales: Scales, run: Run, contacts: int, drag: float
 ) -> Moments:
     """Add up deposits to averages at every grid point."""
-    # Squares cancel: a mantissa of 64 bits where the platform has one.
-    X = np.linspace(0.0, run.distance, run.points, dtype=np.longdouble)
-    units = np.array(scales.deposits, np.longdouble) * contacts
-    sums = (np.cumsum(deposits[name][: run.points]) for name in Deposit._fields)
-    total = Deposit(*(sum_ / unit for sum_, unit in zip(sums, units, strict=True)))
-    if scales.uniform:  # k_i/k = 1: some fields stand for others
-        total = total._replace(slope=total.count, slope2=total.count, ramp2=total.force)
-    force = (total.slope * X + total.force).astype(float)
-    square = ((total.slope2 * X + 2.0 * total.ramp2) * X + total.square).astype(float)
-    pinned = total.count.astype(float)
-    detached = 1.0 - pinned
-    force += drag * detached
-    variance = np.maximum(square + drag**2 * detached - force**2, 0.0)
+    square, ramp2, slope2, count = (
+        _added_up(deposits, scales, run, contacts, name)
+        for name in ("square", "ramp2", "slope2", "count")
+    )
+    X, pinned = _grid(run), count.astype(float)
+    force = mean_force(deposits, scales, run, contacts, drag)
+    square = ((slope2 * X + 2.0 * ramp2) * X + square).astype(float)
+    variance = np.maximum(square + drag**2 * (1.0 - pinned) - force**2, 0.0)
     # Variance that rounding may hide: over long distances large squares of X cancel.
-    rounding = 4.0 * np.finfo(np.longdouble).eps * total.slope2 * X * X
+    rounding = 4.0 * np.finfo(np.longdouble).eps * slope2 * X * X
     lost = rounding + (X > 0) / scales.deposits.square
     return Moments(force, pinned, variance + lost.astype(float))
+
+
+def mean_force(
+    deposits: Array, scales: Scales, run: Run, contacts: int, drag: float
+) -> Array:
+    """Add up deposits to the mean force at every grid point."""
+    slope, force = (
+        _added_up(deposits, scales, run, contacts, name) for name in ("slope", "force")
+    )
+    mean = (slope * _grid(run) + force).astype(float)
+    if drag:
+        pinned = _added_up(deposits, scales, run, contacts, "count").astype(float)
+        mean += drag * (1.0 - pinned)
+    return mean
+
+
+def _grid(run: Run) -> Array:
+    """Grid points, of 64 bits where the platform has them: squares cancel."""
+    return np.linspace(0.0, run.distance, run.points, dtype=np.longdouble)
+
+
+def _added_up(
+    deposits: Array, scales: Scales, run: Run, contacts: int, name: str
+) -> Array:
+    """Mean of a field of `Deposit` at every grid point."""
+    if scales.uniform:  # k_i/k = 1: some fields stand for others
+        alike = {"slope": "count", "slope2": "count", "ramp2": "force"}
+        name = alike.get(name, name)
+    unit = np.longdouble(getattr(scales.deposits, name)) * contacts
+    return np.cumsum(deposits[name][: run.points]) / unit
 
 
 # ---- kernels ----

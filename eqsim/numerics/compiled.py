@@ -45,10 +45,13 @@ class Kernel:
         self.signatures: dict[tuple[Any, ...], Callable[..., Any]] = {}
 
     def __call__(self, *arguments: Any) -> Any:
+        return self.compiled_for(*arguments)(*arguments)
+
+    def compiled_for(self, *arguments: Any) -> Callable[..., Any]:
+        """The machine code for such arguments. To look it up takes as long as following
+        a hundred contacts; calls that have arguments of the same types share it."""
         compiled = self._by_kind.get(_kind(arguments))
-        if compiled is None:
-            compiled = self._load_or_compile(arguments)
-        return compiled(*arguments)
+        return self._load_or_compile(arguments) if compiled is None else compiled
 
     def _load_or_compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
         """The machine code for such arguments; several kinds may have the same types."""
