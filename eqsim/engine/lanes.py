@@ -185,7 +185,7 @@ def draw_thresholds(
 ) -> None:
     """Fill the first `count` thresholds of round r from uniforms, overwriting these."""
     threshold = lives.threshold
-    if law.steps.size > 0:
+    if law.steps.size > 0 or law.ranks.size > 0:
         for i in range(count):
             threshold[r, i] = threshold_draw(law, u[i])
     else:

@@ -23,7 +23,13 @@ from scipy import special
 
 from eqsim.errors import InputError, require_choice, require_number
 from eqsim.laws.law import Law
-from eqsim.laws.threshold import Gamma, ThresholdLaw, Thresholds, threshold_draw
+from eqsim.laws.threshold import (
+    Gamma,
+    ThresholdLaw,
+    Thresholds,
+    threshold_at,
+    threshold_draw,
+)
 from eqsim.numerics.compiled import by_law, routine
 from eqsim.numerics.roots import Bracket, narrowed
 from eqsim.numerics.tables import (
@@ -408,7 +414,7 @@ def threshold_above(
     else:  # by bisection in ln e
         bracket, log2_e = Bracket(-54.0, 9.0), -22.5
         for _ in range(60):
-            excess = look_up(thresholds.table, 2.0**log2_e) - bound
+            excess = threshold_at(thresholds, 2.0**log2_e) - bound
             bracket, log2_e = narrowed(bracket, log2_e, excess, math.nan)
         e = 2.0**bracket.high
-    return max(look_up(thresholds.table, e - log(u)), bound)
+    return max(threshold_at(thresholds, e - log(u)), bound)

@@ -23,7 +23,15 @@ from eqsim.laws.kinks import density_kinks
 from eqsim.numerics.compiled import routine
 from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.roots import bisected
-from eqsim.numerics.tables import NO_TABLE, Array, look_up, octave_edges, octave_table
+from eqsim.numerics.tables import (
+    NO_TABLE,
+    Array,
+    look_up,
+    look_up_ranked,
+    octave_edges,
+    octave_table,
+    ranked_table,
+)
 from eqsim.numerics.vector_math import log
 
 # e from the smallest gap below 1 of a 64-bit uniform up to P(xi > .) = 1e-222
@@ -100,8 +108,13 @@ class ThresholdLaw(Protocol):
     def inverse_survival(self, e: Any) -> Array:
         """The threshold that a fraction exp(-e) of the contacts exceeds, e in (0, 512)."""
 
+    @property
+    def ranks(self) -> Array:
+        """Edges of the cells of `table` where the density jumps; empty for those of
+        octaves."""
+
     def table(self) -> Array:
-        """`inverse_survival` in units of `scale` for `threshold_draw`; empty for a
+        """`inverse_survival` in units of `scale` for `threshold_at`; empty for a
         discrete law."""
 
 
@@ -110,6 +123,7 @@ class Continuous:
 
     steps: Array = NO_STEPS
     breakpoints: Array = NO_STEPS
+    ranks: Array = NO_STEPS
     support: tuple[float, float] = (0.0, math.inf)
 
     @property
@@ -200,6 +214,7 @@ class Discrete:
     """Properties that laws of finitely many equally likely thresholds share."""
 
     steps: Array
+    ranks: Array = NO_STEPS
 
     @property
     def declared(self) -> tuple[Any, ...]:
@@ -321,6 +336,7 @@ class Smooth(Continuous):
 
     scale: float
     pdf: Callable[[Any], Array]
+    cdf: Callable[[Any], Array]
     sf: Callable[[Any], Array]
     inverse_survival: Callable[[Any], Array]
 
@@ -331,9 +347,15 @@ class Smooth(Continuous):
         ends = [end for end in self.support if 0.0 < end < math.inf]
         return np.union1d(self.breakpoints[self.breakpoints > 0.0], ends)
 
-    def table(self) -> Array:
-        """`inverse_survival` for kernels. Raises InputError where it is no quantile
-        function."""
+    @functools.cached_property
+    def ranks(self) -> Array:  # type: ignore[override]
+        """Edges of cells: of octaves, and twice where the ends of a gap meet."""
+        return self._nodes[0] if self.breakpoints.size else NO_STEPS
+
+    @functools.cached_property
+    def _nodes(self) -> tuple[Array, Array]:
+        """Ranks between which the quantile function is smooth, and its values there.
+        Raises InputError where it is no quantile function."""
         e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
         xi = self.inverse_survival(e)
         if not (np.all(np.isfinite(xi)) and np.all(np.diff(xi) >= 0) and xi[0] >= 0):
@@ -341,18 +363,45 @@ class Smooth(Continuous):
                 "threshold distribution: its ppf and isf must be finite, positive and "
                 "monotone"
             )
+        if not self.breakpoints.size:
+            return e, xi
+        share = self.cdf(self.breakpoints)
+        with np.errstate(divide="ignore"):
+            at = np.where(
+                share < 0.5, -np.log1p(-share), -np.log(self.sf(self.breakpoints))
+            )
+        apart = ~np.isclose(e[:, None], at, rtol=1e-12, atol=0.0).any(axis=1)
+        at, jumps = at[at < e[-1]], self.breakpoints[at < e[-1]]
+        e, xi = np.append(e[apart], at), np.append(xi[apart], jumps)
+        order = np.lexsort((xi, e))
+        # next to a breakpoint quantiles are rounded
+        return e[order], np.maximum.accumulate(xi[order])
+
+    def table(self) -> Array:
+        """`inverse_survival` for kernels. Raises InputError where it is no quantile
+        function."""
+        e, xi = self._nodes
+        if not self.ranks.size:
+            slope = self._slope(xi, xi, np.gradient(xi, e))
+            return octave_table(FIRST_OCTAVE, xi / self.scale, slope / self.scale)
+        width = np.diff(e)
+        secant = np.diff(xi) / np.where(width > 0.0, width, np.inf)
+        begins = self._slope(xi[:-1], xi[:-1] * (1.0 + _ASIDE), secant)
+        ends = self._slope(xi[1:], xi[1:] * (1.0 - _ASIDE), secant)
+        return ranked_table(e, *(y / self.scale for y in (xi, begins, ends)))
+
+    def _slope(self, xi: Array, beside: Array, secant: Array) -> Array:
+        """d xi/de, with the density `beside` xi; the secant where it vanishes: at ends
+        of the support, in gaps."""
         with np.errstate(all="ignore"):
-            slope = self.sf(xi) / self.pdf(xi)
-        secant = np.gradient(xi, e)
-        # where the density vanishes: support ends, gaps
-        slope = np.where(np.isfinite(slope), slope, secant)
-        return octave_table(FIRST_OCTAVE, xi / self.scale, slope / self.scale)
+            slope = self.sf(xi) / self.pdf(beside)
+        return np.where(np.isfinite(slope), slope, secant)
 
     @functools.cached_property
     def drawn_to(self) -> float:
         """A bound on the relative error of averages over thresholds drawn from `table`,
-        up to the work xi^3 of the sqrt law: where the density jumps, a cell of the
-        table is smooth and the law is not."""
+        up to the work xi^3 of the sqrt law: where the density jumps, and no breakpoint
+        says so, a cell of the table is smooth and the law is not."""
         first, third = self._drawn_to(1, 3, rarest=40.0)
         return first + third
 
@@ -366,10 +415,11 @@ class Smooth(Continuous):
     def _drawn_to(self, *powers: int, rarest: float) -> list[float]:
         """Mean absolute errors of powers of drawn thresholds, over the means of these
         powers, for e up to `rarest`."""
-        edges, t = octave_edges(FIRST_OCTAVE, LAST_OCTAVE), (np.arange(4) + 0.5) / 4
+        edges, t = self._nodes[0], (np.arange(4) + 0.5) / 4
         matter = (edges[:-1] > 1e-6) & (edges[:-1] < rarest)
         e = (edges[:-1, None] + np.diff(edges)[:, None] * t)[matter]
-        drawn = self.table()[2:][matter] @ t ** np.arange(4)[:, None]
+        cells = self.table()[-matter.size :]
+        drawn = cells[matter] @ t ** np.arange(4)[:, None]
         exact = self.inverse_survival(e) / self.scale
         share = (np.exp(-edges[:-1]) - np.exp(-edges[1:]))[matter]
 
@@ -382,6 +432,8 @@ class Smooth(Continuous):
             return [error(p) for p in powers]
 
 
+# how far beside a breakpoint its densities are, relative
+_ASIDE = 1e-12
 # kinks closer to a known one, over the scale, are none of their own: next to an
 # infinite end densities are rounded
 _SAME = 1e-6
@@ -421,10 +473,9 @@ class Distribution(Smooth):
         Its mean cube (the work of a contact under the sqrt law) has to be finite.
     breakpoints : array_like, optional
         Points inside the support where its density jumps (those of an `rv_histogram`
-        are found). Draws next to these are interpolated, so that up to half a percent
-        of all thresholds are drawn within a gap. The error bars of `steady` include
-        this, the scatter of runs does not: their forces may be off by some 2e-3. A
-        sample of the law as a `Table` has no such error.
+        are found). Where others jump draws are interpolated: up to half a percent of
+        all thresholds would be drawn within a gap, which error bars of `steady`
+        include and the scatter of runs does not.
 
     Examples
     --------
@@ -660,6 +711,7 @@ class Thresholds(NamedTuple):
     table: Array
     steps: Array
     exponentials: int
+    ranks: Array  # edges of the cells of `table` if these are not those of octaves
 
 
 # It takes 2 ms, of SciPy's laws up to seconds; 32 tables of 130 kB are 4 MB.
@@ -669,7 +721,7 @@ def for_kernels(law: ThresholdLaw) -> Thresholds:
     exponentials = 0
     if isinstance(law, Gamma) and law.n in (0.0, 1.0):
         exponentials = int(law.n) + 1
-    return Thresholds(law.table(), law.steps / law.scale, exponentials)
+    return Thresholds(law.table(), law.steps / law.scale, exponentials, law.ranks)
 
 
 @routine(inline=True)
@@ -684,4 +736,12 @@ def threshold_draw(law: Thresholds, u: float) -> float:
     """A threshold from a uniform u in (0, 1), the fraction of contacts that exceed it."""
     if law.steps.size > 0:
         return law.steps[law.steps.size - 1 - np.int64(u * law.steps.size)]
-    return look_up(law.table, -log(u))
+    return threshold_at(law, -log(u))
+
+
+@routine(inline=True)
+def threshold_at(law: Thresholds, e: float) -> float:
+    """The threshold of a smooth law that a fraction exp(-e) of contacts exceeds."""
+    if law.ranks.size > 0:
+        return look_up_ranked(law.ranks, law.table, e)
+    return look_up(law.table, e)

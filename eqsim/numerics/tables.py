@@ -11,6 +11,9 @@ scale. For a power law y = s^p the relative error is below |p(p-1)(p-2)(p-3)| / 
 Below the first octave the function is continued as a line through the origin, above the
 last one as a constant; whoever builds a table chooses its octaves so that this is exact
 to rounding, or never reached.
+
+A function that jumps, or whose slope does, has cells that end there (`ranked_table`);
+these are searched.
 """
 
 from typing import Any
@@ -46,18 +49,23 @@ def octave_table(first: int, y: Array, slope: Array) -> Array:
     `look_up`; and the line through the origin, of the argument over that edge."""
     cells = len(y) - 1
     edges = octave_edges(first, first + cells // CELLS)
-    width, rise = np.diff(edges), np.diff(y)
-    limit = 3.0 * rise
-    left = np.clip(slope[:-1] * width, 0.0, limit)
-    right = np.clip(slope[1:] * width, 0.0, limit)
     table = np.zeros((cells + 2, 4))
     table[0, :3] = first * CELLS + _BIAS, 1.0 / edges[0], cells
     table[1, 1] = y[0]
-    table[2:, 0] = y[:-1]
-    table[2:, 1] = left
-    table[2:, 2] = 3.0 * rise - 2.0 * left - right
-    table[2:, 3] = left + right - 2.0 * rise
+    table[2:] = ranked_table(edges, y, slope[:-1], slope[1:])
     return table
+
+
+def ranked_table(edges: Array, y: Array, begins: Array, ends: Array) -> Array:
+    """Coefficients (cells, 4) from values at edges that do not descend, and from the
+    derivatives where each cell begins and where it ends, limited as in `octave_table`.
+    Where the function jumps an edge comes twice."""
+    width, rise = np.diff(edges), np.diff(y)
+    limit = 3.0 * rise
+    left = np.clip(begins * width, 0.0, limit)
+    right = np.clip(ends * width, 0.0, limit)
+    columns = y[:-1], left, 3.0 * rise - 2.0 * left - right, left + right - 2.0 * rise
+    return np.stack(columns, axis=1)
 
 
 @routine(inline=True)
@@ -100,6 +108,14 @@ def look_up(table: Array, s: float) -> float:
     """The tabulated function at s > 0."""
     row, t = _cell_of(table[0, 0], table[0, 1], table[0, 2], s)
     return _polynomial(table, row, t)
+
+
+@routine
+def look_up_ranked(edges: Array, table: Array, s: float) -> float:
+    """The function of a `ranked_table` at s; a constant beyond its edges."""
+    row = min(max(search(edges, s, True) - 1, 0), edges.size - 2)
+    t = (s - edges[row]) / (edges[row + 1] - edges[row])
+    return _polynomial(table, row, min(max(t, 0.0), 1.0))
 
 
 @routine(inline=True)

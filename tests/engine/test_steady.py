@@ -329,11 +329,11 @@ def test_two_thresholds_without_heat(t, monkeypatch):
 
 @pytest.mark.parametrize("law", ["sqrt", "uniform"])
 def test_jumps_of_the_density_count_in_error_bars(law):
-    """A histogram with a gap: the table of thresholds is a smooth bridge across it,
-    which shifts the friction by more than the scatter of lives (by more than 5 of its
+    """A histogram with a gap that is not told: the table of thresholds is a smooth bridge
+    across it, which shifts the friction by more than the scatter of lives (by more than 5 of its
     standard errors, the negative control). Quoted is a bound."""
     gap = Distribution(
-        scipy.stats.rv_histogram(([3, 0, 1], [0.5, 1.0, 1.5, 2.0]), density=True)
+        scipy.stats.rv_histogram(([3, 0, 1], [0.5, 1.0, 1.5, 2.0]), density=True), ()
     )
     contacts = Ensemble(gap, stiffness_law=law)
     found, exact = (

@@ -273,6 +273,24 @@ def test_a_snapshot_of_the_stationary_state(ensemble):
     )
 
 
+@pytest.mark.parametrize("law", ["sqrt", "uniform"])
+def test_forces_beyond_a_gap_between_thresholds(law):
+    """While nothing breaks, between two bins of a histogram, forces have small errors:
+    at 31 points |z| < 4.5 (false alarm 2e-4). If the gap is not told, half a percent of
+    the thresholds are drawn there, and the score of the force is 10."""
+    edges = [0.1, 0.2, 1.9, 2.0]
+    bins = scipy.stats.rv_histogram(([63, 0, 37], edges), density=True)
+    drive, scores = Drive(0.1, 3.0), []
+    for told in (None, ()):
+        contacts = Ensemble(Distribution(bins, told), count=400_000, stiffness_law=law)
+        found = trajectory(contacts, drive, points=31, seed=1)
+        exact = transient(Ensemble(Distribution(bins), stiffness_law=law), drive, 31)
+        error = np.hypot(found.force_stderr, exact.force_error) + 1e-12
+        scores.append(np.abs((found.force - exact.force) / error).max())
+    assert scores[0] < 4.5
+    assert scores[1] > 8.0
+
+
 @pytest.mark.parametrize("law", ["fixed", "exponential"])
 def test_a_stationary_start_stays_level(law):
     """Also while contacts that were found detached wait for the rest of their delay,
