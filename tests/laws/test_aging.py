@@ -268,7 +268,8 @@ def test_pooled_limits():
 
 def draws(table, u):
     """`threshold_draw` of a smooth law for many uniforms."""
-    return np.array([threshold_draw(Thresholds(table, NO_STEPS, 0), one) for one in u])
+    law = Thresholds(table, NO_STEPS, 0, NO_STEPS)
+    return np.array([threshold_draw(law, one) for one in u])
 
 
 @pytest.mark.parametrize("case", [(0.0, 10.0, 0.3), (1.0, 0.1, 5.0)])
