@@ -159,7 +159,8 @@ class Steps(NamedTuple):
         parts = []
         for _, run, scales, drag, row in self.steps:
             found = recorder.moments(deposits[row:], scales, run, contacts, drag)
-            force, pinned, variance = (x[_first_shown(row) :] for x in found)
+            # A segment begins where another has ended.
+            force, pinned, variance = (x[1 if row else 0 :] for x in found)
             parts.append((run.sign * force, pinned, variance))
         return Moments(*map(np.concatenate, zip(*parts, strict=True)))
 
@@ -167,13 +168,8 @@ class Steps(NamedTuple):
         parts = []
         for _, run, scales, drag, row in self.steps:
             force = recorder.mean_force(deposits[row:], scales, run, contacts, drag)
-            parts.append(run.sign * force[_first_shown(row) :])
+            parts.append(run.sign * force[1 if row else 0 :])
         return np.concatenate(parts)
-
-
-def _first_shown(row: int) -> int:
-    """First record of a segment that is shown: each begins where another ended."""
-    return 1 if row else 0
 
 
 def constant_drive(

@@ -370,9 +370,8 @@ class Smooth(Continuous):
             at = np.where(
                 share < 0.5, -np.log1p(-share), -np.log(self.sf(self.breakpoints))
             )
-        apart = ~np.isclose(e[:, None], at, rtol=1e-12, atol=0.0).any(axis=1)
-        at, jumps = at[at < e[-1]], self.breakpoints[at < e[-1]]
-        e, xi = np.append(e[apart], at), np.append(xi[apart], jumps)
+        within = at < e[-1]
+        e, xi = np.append(e, at[within]), np.append(xi, self.breakpoints[within])
         order = np.lexsort((xi, e))
         # next to a breakpoint quantiles are rounded
         return e[order], np.maximum.accumulate(xi[order])

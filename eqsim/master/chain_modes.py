@@ -217,12 +217,16 @@ def chain_modes(
         critical = Estimate(None, None, 0)
         if falls.size:
             i = int(falls[-1])
+            # by secants: the two loops may change sign in different steps of the grid
+            low, high = every[i : i + 2].tolist()
             found = [
-                optimize.brentq(
+                optimize.root_scalar(
                     lambda q, loop=loop: springs.root(loop, q, roots[i]).real,
-                    *every[i : i + 2].tolist(),
+                    method="secant",
+                    x0=low,
+                    x1=high,
                     xtol=1e-9,
-                )
+                ).root
                 for loop in (fine, coarse)
             ]
             critical = Estimate(found[0], abs(found[0] - found[1]) + 1e-9, 0)
