@@ -160,7 +160,9 @@ def path_moments(contacts: Reduced, xi0: Array) -> tuple[Array, Array]:
         table[1:, path, panel] = alive * panels.values[1:3]
         moments = table[1:].sum(axis=2)
         onward = table[1:, :, ::-1].cumsum(axis=2)[:, :, ::-1][:, path, panel]
-        errors = alive * panels.values[4:6] + (of.hazard_tail + of.blind) * onward
+        with np.errstate(over="ignore"):  # of panels far too long
+            blurred = (of.hazard_tail + of.blind) * onward
+        errors = alive * panels.values[4:6] + blurred
         rough = (errors > _RESOLVED_PATH * moments[:, path]).any(axis=0)
         rough &= panels.right - panels.left > 1e-14 * panels.right
         rough |= (of.blind > 0) & (alive > _DEAD)

@@ -60,7 +60,7 @@ class Suite(NamedTuple):
 
     points: int
     wide: int
-    sizes: tuple[tuple[int, int], ...] = ((20, 2000), (100, 1000), (10_000, 150))
+    sizes: tuple[tuple[int, int], ...] = ((20, 2000), (100, 1000), (2000, 1000))
     contacts: int = 200
     lives: float = 1e6
     replicas: int = 24

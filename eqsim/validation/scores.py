@@ -420,10 +420,19 @@ def hazards(point: Point, plan: Suite) -> Found:
     return scores
 
 
+def of_products(terms: Array, forces: Array, variance: float) -> Estimate:
+    """Mean of squares or products of forces about their mean. Its error is that at the
+    exact variance, in proportion to which squares scatter: it is not small just where
+    these happen to be."""
+    found = mean_of(terms, terms.size)
+    usual = variance / float(np.mean(forces**2))
+    return replace(found, stderr=usual * (found.stderr or 0.0))
+
+
 @compares("mean", "variance", "covariance")
 def fluctuating(point: Point, plan: Suite) -> Found:
     """Mean, variance and the autocovariance at half a mean life of F/(N k) of
-    stationary ensembles of 20, 100 or 10 000 contacts. Raises InputError where lives
+    stationary ensembles of 20, 100 or more contacts. Raises InputError where lives
     are too rare and too long to be found."""
     turn = point.number // (plan.points // plan.wide)
     count, ensembles = plan.sizes[turn % len(plan.sizes)]
@@ -474,7 +483,10 @@ def fluctuating(point: Point, plan: Suite) -> Found:
             scores += point.without((kind,), "few contacts")
             continue
         theirs = Estimate(float(value), float(error), 0)
-        scores.append(point.score(kind, mean_of(terms, ensembles), theirs))
+        ours = mean_of(terms, ensembles)
+        if kind != "mean":
+            ours = of_products(terms, first, float(values[0]))
+        scores.append(point.score(kind, ours, theirs))
     return scores
 
 
