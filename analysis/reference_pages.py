@@ -58,7 +58,10 @@ def option(name: str, kind: Any, about: Any, begins: Any) -> tuple[str, str]:
     meaning = plain(about.help)
     needed = begins is inspect.Parameter.empty or begins is ...
     if isinstance(about, ArgumentInfo):
-        return f"`{about.metavar or name.upper()}`", meaning
+        given = about.metavar or name.upper()
+        if needed or begins is None or given.startswith("["):
+            return f"`{given}`", meaning
+        return f"`[{given}]`", f"{meaning} Default: `{begins}`."
     first = (
         (about.default,)
         if isinstance(about.default, str) and about.default.startswith("-")
@@ -106,11 +109,10 @@ def commands() -> list[str]:
                 typing.get_args(given.annotation)[:1],
                 given.annotation.__metadata__,
             )
-            begins = (
-                given.default
-                if about.default is ... or given.default is not inspect.Parameter.empty
-                else about.default
-            )
+            begins = given.default
+            first = about.default  # or the name of an option
+            if begins is inspect.Parameter.empty and not str(first).startswith("-"):
+                begins = first
             row = option(name, kind, about, begins)
             (arguments if isinstance(about, ArgumentInfo) else options).append(row)
         name = command.name or command.callback.__name__
@@ -180,7 +182,7 @@ def names() -> list[str]:
             if callable(what)
             else "What averages are called; their words and units."
         )
-        meaning = re.split(r"\.(?:\s|$)", plain(said))[0] + "."
+        meaning = re.split(r"(?<!eq)(?<!eqs)\.(?:\s|$)", plain(said))[0] + "."
         status = "provisional" if name in PROVISIONAL else "stable"
         rows.append((f"`{name}`", status, meaning))
     return table(("name", "status", "meaning"), rows)

@@ -116,9 +116,7 @@ def accepts_run_file(
         **given: Any,
     ) -> Any:
         source = ensemble if file is None else file
-        # `velocity` is the former name of the drive of `fresh_slip`
-        for name in (second, "velocity"):
-            drive = given.pop(name, drive)
+        drive = given.pop(second, drive)
         if isinstance(source, (RunFile, Path, str)):
             if isinstance(drive, dict):
                 drive, changes = None, drive

@@ -6,7 +6,7 @@ form. Under a force and behind a stage the slider is always in balance, kappa (Y
 f(t) = F: it moves at a constant velocity, and jumps at a break. A motor of stall force s
 and unloaded velocity u drives the slider itself, or its end of the spring, at
 
-    u (1 - |F|/s),    so that    (s/|u|)(1 + A/kappa) X' = +-s - F        (derived)
+    u - |u| F/s,    so that    (s/|u|)(1 + A/kappa) X' = +-s - F        (derived)
 
 with A the stiffness of what is pinned (without a spring 1/kappa is 0): an exponential
 relaxation. Behind a spring X jumps at a break, too.

@@ -357,7 +357,9 @@ class ElasticTrajectory(ForceRecord):
         among them.
     avalanches : dict of ndarray
         Columns: time `t`, plate `D` (length), `block` where it began, `breaks`,
-        `blocks` that broke, `drop` of F/(N k) (length), and the `replica`.
+        `blocks` that broke, `drop` of F/(N k) (length), and the `replica`; with heat,
+        an edge or loads also `by_heat`, 1 if heat broke the first contact, and
+        `before`, the friction at which it began.
     blocks : dict of ndarray
         Columns, with a row for each record of each block: `t`, `D`, `block`, its
         displacement `X` and `force` = F_j/(n k) (lengths), `breaks` so far, and the

@@ -89,7 +89,7 @@ _OTHERS: dict[str, tuple[Any, Any]] = {
     "viscosity.eta": (float, Ensemble.eta),
     **{f"thermal.{name}": _REQUIRED for name in _PATHWAYS},
     "drive.velocity": _NUMBER,
-    "drive.rebinding": _TEXT,
+    "drive.rebinding": (Literal["unstretched", "shared"] | None, None),
     "drive.file": _TEXT,
     "drive.stage.stiffness": _NUMBER,  # or that of the machine
     "drive.stage.machine_stiffness": _TEXT,

@@ -54,8 +54,8 @@ class Modes(Result):
     critical_wave_number : Estimate
         q_c, below which modes grow; 0 where none does, without a value where all do.
     lowest : float
-        q of the softest mode of this chain: 0 where a plate pulls it, pi/(2 B) or less
-        where a spring pulls its edge.
+        q of the softest mode of this chain: 0 where a plate pulls it, pi/(2 B - 1) or
+        less where a spring pulls its edge.
     softest : Estimate
         Rate of growth of that mode (1/time).
     """

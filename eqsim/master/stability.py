@@ -9,7 +9,6 @@ aging and delay it does neither, as friction is the same for any X(t).
 """
 
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
@@ -401,10 +400,6 @@ def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:
     >>> print(f"{result.critical_stiffness.value:.4f}")  # kappa_s = K/(N k)
     0.1742
     """
-    if isinstance(drive, (int, float)):
-        said = "fresh_slip: a velocity is deprecated; give Drive(velocity)"
-        warnings.warn(said, DeprecationWarning, stacklevel=3)
-        drive = Drive(drive)
     if isinstance(drive, Programme):
         drive = Drive(pulled_by(ensemble, drive).velocity)
     require_drive(drive)

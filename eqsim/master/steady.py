@@ -97,11 +97,11 @@ def reference(
     Friction is F/(N k), a length, for N contacts of stiffness k; the number of contacts
     makes no difference. Annealed contacts follow eqs. (27) and (37) of Braun and Peyrard
     (2011), quenched ones derived equations. Contacts travel from their birth at y to
-    where they break; with the mean travel E[l] = 1/Gamma, eq. (3),
+    where they break; with the mean travel E[l] = 1/Gamma, eq. (6),
 
         pinned = E[l]/(E[l] + v<tau>),    friction = E[W]/(E[l] + v<tau>) + (eta v/k)(1 - pinned),    f_k = E[W]/E[l],
 
-    W = int_y^{x_b} kappa x dx, and with V = int_y^{x_b} kappa^2 x^2 dx the variance of
+    W = int_y^{x_b} kappa x dx with kappa = k_i/k, and with V = int_y^{x_b} kappa^2 x^2 dx the variance of
     the force of one contact over k is E[V]/(E[l] + v<tau>) + (eta v/k)^2 (1 - pinned) -
     friction^2 (derived). Behind a motor the velocity v solves v = u (1 - friction/s).
 

@@ -246,7 +246,7 @@ class Programme(Checked):
         Force s over N k (length), > 0, at which a motor stops that drives the slider,
         or the stage's end of the spring, where its load is F:
 
-            Y' = u (1 - abs(F)/s),
+            Y' = u - abs(u) F/s,
 
         with u the velocity of the segment. By default it never stops.
     rebinding : str

@@ -219,14 +219,10 @@ def test_a_drive_in_the_place_of_the_drive_of_a_run_file(path):
     )
 
 
-def test_a_velocity_is_a_deprecated_drive():
+def test_a_stage_is_a_drive_at_its_velocity():
     stage = Programme((Segment(0.1, time=1.0),), stage=Stage(0.3))
     known = repr(eqsim.fresh_slip(Ensemble(), Drive(0.1)))
     assert repr(eqsim.fresh_slip(Ensemble(), stage)) == known
-    for given in ({"drive": 0.1}, {"velocity": 0.1}):
-        with pytest.warns(DeprecationWarning, match="Drive") as told:
-            assert repr(eqsim.fresh_slip(Ensemble(), **given)) == known
-        assert told[0].filename == __file__
 
 
 def test_units_are_those_of_the_command_line(path):

@@ -180,7 +180,7 @@ def test_pictures_are_drawn_by_commands():
     assert [path for path in shown if not path.exists()] == []
     found = set((DOCS / "pictures").glob("*.png"))
     assert found - shown == set()
-    measured = {"ns-by-part.png", "layers.png"}  # by benchmarks
+    measured = {"ns-by-part.png"}  # by benchmarks
     # by an analysis of minutes, and a fit of half an hour
     measured |= {"rate-and-state-contacts.png", "basalt-contacts.png"}
     measured |= {"precursors.png", "front-speeds.png"}  # by a notebook
