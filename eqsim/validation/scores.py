@@ -31,10 +31,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eqsim.engine.blocks import Job
 from eqsim.engine.contacts import contacts
 from eqsim.engine.langevin import STEP
-from eqsim.engine.programme import constant_drive, steps_of
+from eqsim.engine.programme import Steps, constant_drive, steps_of
 from eqsim.engine.recorder import Run, Scales
 from eqsim.engine.sample import Source, lives
 from eqsim.engine.stationary import Fresh, stationary, thresholds, whole_lives
@@ -218,7 +217,8 @@ def _score_end(
     if not (enough and _many(_mean_squares(level, group, end.drive, pilot))):
         return scores + point.without(kinds[1:], "few contacts")
     ours = mean_of(_mean_squares(level, group, end.drive, groups), 0, _GROUPS - 1)
-    return [*scores, point.score(kinds[1], ours, end.variance)]
+    off = (end.variance.stderr or 0.0) + _rounding(group, end.drive)
+    return [*scores, point.score(kinds[1], ours, replace(end.variance, stderr=off))]
 
 
 def _affordable(
@@ -507,7 +507,14 @@ def _forces(
     return forces, variances
 
 
-def _job(ensemble: Ensemble, drive: Drive | Programme, seed: int) -> Job:
+def _rounding(ensemble: Ensemble, drive: Drive | Programme) -> float:
+    """Resolution of the square of a force, which is coarse beside it where contacts far
+    stronger than the usual ones may come along."""
+    square = float(_job(ensemble, drive, 0).steps[-1].scales.deposits.square)
+    return ensemble.thresholds.scale**2 / square
+
+
+def _job(ensemble: Ensemble, drive: Drive | Programme, seed: int) -> Steps:
     """Contacts along a drive that are recorded at as few instants as possible."""
     if isinstance(drive, Programme):
         return steps_of(ensemble, drive, drive.grid(2), 1, seed)
