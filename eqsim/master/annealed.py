@@ -68,6 +68,8 @@ _PER_FOLD = 13.0
 _LOG_S = np.arange(-28.0, math.log(700.0), 0.1)
 _SHARE_OF_S = np.exp(_LOG_S - np.exp(_LOG_S))
 _SHARE_OF_S /= _SHARE_OF_S.sum()
+# A life over the mean, beyond which the exponential law of star1 has nothing.
+_LONGEST_LIFE = 40.0
 # The relative step towards the fixed point C that ends the search.
 _SETTLED_C = 1e-12
 # Most steps of the secant rule.
@@ -82,6 +84,10 @@ class Ageing(NamedTuple):
     alpha: Array
     final: float
 
+    def square(self, decay: Array) -> Array:
+        """(x_*/x_*i)^2 after so many relaxations."""
+        return np.asarray(self.final**2 - (self.final**2 - 1.0) * np.exp(-decay))
+
 
 def annealed_moments(
     every: Sequence[Reduced], ageing: Ageing | None = None
@@ -94,7 +100,19 @@ def annealed_moments(
             f"thresholds: {steps.size} different values; the annealed reference takes "
             f"at most {_MOST_THRESHOLDS}"
         )
-    return LifeMoments(*_Solution(every, ageing).moments())
+    never = np.zeros(len(every))
+    born = _Solution(every, Ageing(never, 1.0), never)
+    found = born.moments()
+    if ageing is None or not ageing.alpha.any():
+        return LifeMoments(*found)
+    aged = _Solution(every, Ageing(never + math.inf, ageing.final), never)
+    longest = 2.0 * np.maximum(found[0], aged.moments()[0])
+    while True:
+        solution = _Solution(every, ageing, longest)
+        found = solution.moments()
+        if np.all(solution.stretch <= longest):
+            return LifeMoments(*found)
+        longest = 2.0 * np.maximum(longest, solution.stretch)
 
 
 class Mixture(NamedTuple):
@@ -117,12 +135,12 @@ class Mixture(NamedTuple):
         """Weights by which the laws represent others, shape (..., laws)."""
         return np.asarray(self.polynomials(log_square) @ self.coefficients)
 
-    def weights(self, decay: Array, final: float, lost: int = 0) -> Array:
-        """Weights of the laws in star1, given 4 D C/(v x_*f^2), shape (velocities,
+    def weights(self, ageing: Ageing, stretch: Array, lost: int = 0) -> Array:
+        """Weights of the laws in star1, given C at each velocity, shape (velocities,
         laws), also without the highest `lost` coefficients."""
         if len(self.laws) == 1:
-            return np.ones((decay.size, 1))
-        square = final**2 - (final**2 - 1.0) * np.exp(-decay[:, None] * np.exp(_LOG_S))
+            return np.ones((stretch.size, 1))
+        square = ageing.square((ageing.alpha * stretch)[:, None] * np.exp(_LOG_S))
         means = _SHARE_OF_S @ self.polynomials(np.log(square))
         means[:, len(self.laws) - lost :] = 0.0
         return np.asarray(means @ self.coefficients)
@@ -136,12 +154,16 @@ def mixture_of(law: Gamma, low: float, high: float, count: int) -> Mixture:
     return Mixture(laws, low, high, np.linalg.inv(chebyshev.chebvander(t, count - 1)))
 
 
-def _mixture(law: ThresholdLaw, ageing: Ageing | None) -> Mixture:
-    if ageing is None or not isinstance(law, Gamma) or not ageing.alpha.any():
+def _mixture(law: ThresholdLaw, ageing: Ageing, longest: Array) -> Mixture:
+    """Represent a law and what it becomes while contacts are pinned, if their mean
+    travel C is at most `longest`: laws that no contact reaches may have rates so much
+    larger that these drown the others'."""
+    if not isinstance(law, Gamma) or not ageing.alpha.any():
         return Mixture([law])
     if ageing.final == 1.0 or np.isinf(ageing.alpha).all():
         return Mixture([Gamma(law.n, law.x_star * ageing.final)])
-    low, high = sorted((0.0, 2.0 * math.log(ageing.final)))
+    grown = ageing.square(ageing.alpha * longest * _LONGEST_LIFE)
+    low, high = sorted((0.0, float(max(np.log(grown), key=abs))))
     n = math.ceil(_PER_FOLD * 0.5 * (high - low) * math.sqrt(1.0 + law.n / 2.0))
     return mixture_of(law, low, high, n + _FEWEST_NODES)
 
@@ -177,15 +199,17 @@ def _refined(
 class _Solution:
     """The equation at many velocities."""
 
-    def __init__(self, every: Sequence[Reduced], ageing: Ageing | None) -> None:
+    def __init__(
+        self, every: Sequence[Reduced], ageing: Ageing, longest: Array
+    ) -> None:
         log_w = [r.barrier.log_w if r.barrier.thermal else -math.inf for r in every]
         self.attempts = np.exp(log_w)[:, None, None]
         # the slowest, at which most attempts count
         self.contacts = contacts = every[int(np.argmax(log_w))]
-        self.mixture = _mixture(contacts.law, ageing)
-        self.ageing = ageing or Ageing(np.zeros(len(every)), 1.0)
+        self.mixture = _mixture(contacts.law, ageing, longest)
+        self.ageing = ageing
         self.ages, self.settled_on = len(self.mixture.laws) > 1, 0
-        self.stretch = np.full(len(every), contacts.law.mean / contacts.law.scale)
+        self.stretch = longest
 
     def moments(self) -> Array:
         """C, work, and their absolute errors, shape (4, velocities)."""
@@ -209,8 +233,7 @@ class _Solution:
 
     def weights(self, stretch: Array, lost: int = 0) -> Array:
         """Weights of the mixture's laws at each velocity, given C."""
-        alpha, final = self.ageing
-        return self.mixture.weights(alpha * stretch, final, lost)
+        return self.mixture.weights(self.ageing, stretch, lost)
 
     def rate(
         self, law: ThresholdLaw, y: Array, above: Array, *, finer: bool = False

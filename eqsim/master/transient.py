@@ -490,6 +490,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     # contacts hardly differ
     error += (profile.error + cells.in_step) * (np.abs(best).max() + mean**2)
     error += missed_beyond[2, 2] / cycle
+    error += 2.0 * abs(mean) * (exact.friction.stderr or 0.0) / unit
     # difference from the variance by another quadrature
     error += abs(best[0] - known(exact.force_variance) / unit**2)
     if points > best.size:

@@ -1,6 +1,7 @@
 """The master-equation reference: against exact values, closed forms, its own error
 estimates, and a second method."""
 
+import dataclasses
 import itertools
 import math
 import warnings
@@ -687,3 +688,29 @@ def trajectory_sample(ensemble, drive, runs):
         constant_drive(*job, 0.0).simulate(total, first, first + n)
         forces.append(moments(total.deposits, scales, run, n, drag).force * unit)
     return np.array(forces)
+
+
+def test_bonds_that_break_long_before_they_have_aged():
+    """Thresholds that would grow ninefold, and off-rates that grow exponentially with
+    them: of laws that no contact reaches rates are 1e100 times larger. Friction and its
+    variance are known to 1e-6, and are those of simulated bonds: |z| < 4.5 (false alarm
+    1e-5). Without aging friction is beyond 10 standard errors."""
+    aging = Aging("flow", rate=2.55e-4, x_star_final=28.0)
+    heat = Thermal(barrier="bell", off_rate=0.158, force_scale=1.64)
+    bonds = Ensemble(Gamma(2.5, 3.03), heat, disorder="annealed", aging=aging)
+    drive = Drive(4.14e-4)
+    exact, found = (
+        reference(bonds, drive, variance=True),
+        steady(bonds, drive, rel_error=1e-5),
+    )
+    for name in ("friction", "force_variance"):
+        ours, theirs = getattr(found, name), getattr(exact, name)
+        assert theirs.stderr < 1e-6 * theirs.value
+        assert abs(ours.value - theirs.value) < 4.5 * math.hypot(
+            ours.stderr, theirs.stderr
+        )
+    spread = fluctuations(bonds, Drive(4.14e-4, 1e-3), points=2)
+    off = spread.covariance[0] - exact.force_variance.value
+    assert abs(off) < spread.error[0] + 1e-6 * exact.force_variance.value
+    young = reference(dataclasses.replace(bonds, aging=Aging()), drive).friction
+    assert abs(young.value - found.friction.value) > 10.0 * found.friction.stderr
