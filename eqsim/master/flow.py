@@ -85,12 +85,18 @@ def rate_along(contacts: Reduced, x: Array, xi0: Array, share: float = 1.0) -> A
     along a path."""
     if not contacts.barrier.thermal:
         return np.zeros(np.broadcast_shapes(x.shape, xi0.shape))
-    xi = xi0 * contacts.aging.growth_at(x)
-    a = share * contacts.barrier.b * kappa_along(contacts, xi0, xi)
+    return np.exp(_log_rate_along(contacts, x, xi0, share))
+
+
+def _log_rate_along(
+    contacts: Reduced, x: Array, xi0: Array, share: float = 1.0
+) -> Array:
+    """ln of `rate_along` with heat, up to 300."""
+    xi, barrier = xi0 * contacts.aging.growth_at(x), contacts.barrier
+    a = share * barrier.b * kappa_along(contacts, xi0, xi)
     with np.errstate(divide="ignore"):  # a stiff contact at its threshold
-        return np.exp(
-            contacts.barrier.log_w + contacts.barrier.log_rate(x, np.maximum(xi, x), a)
-        )
+        log_rate = barrier.log_w + barrier.log_rate(x, np.maximum(xi, x), a)
+    return np.asarray(np.minimum(log_rate, 300.0))
 
 
 class _PathIntegrals(NamedTuple):
@@ -204,7 +210,10 @@ def hazard_along(contacts: Reduced, x: Array, xi0: Array) -> Array:
     hazard of 1e-12.
     """
     x_flat = np.maximum(x.ravel(), _SHORTEST_STRETCH)
-    found, reach = np.zeros(x.size), contacts.barrier.log_w + np.log(x_flat)
+    # no attempt frequency bounds the rates of bonds, which are greatest at an end
+    greatest = _log_rate_along(contacts, x_flat, xi0.ravel())
+    greatest = np.maximum(greatest, contacts.barrier.log_w)
+    found, reach = np.zeros(x.size), greatest + np.log(x_flat)
     nodes = np.ceil((reach - math.log(_UNSEEN_HAZARD)) / _STEP_IN_U / _NODES_APART)
     for many in np.unique(nodes[nodes > 0]):
         u = _STEP_IN_U * np.arange(-many * _NODES_APART, many * _NODES_APART + 1)
