@@ -15,9 +15,9 @@ negligible at each of them.
 
 Births of contacts that age, of the law P_c of star1, are a mixture of gamma laws of
 scales x_*(s), s ~ Exp(1) (`laws.aging.pooled`). What depends on the scale is a
-polynomial in its logarithm; the weights of its nodes depend on the mean stretch at
-breaking C, the root of C = int J_c exp(-Delta U) dx (derived), which is found on the
-same panels.
+polynomial in its logarithm, or, for rates of bonds, the exponential of one; the weights
+of its nodes depend on the mean stretch at breaking C, the root of
+C = int J_c exp(-Delta U) dx (derived), which is found on the same panels.
 """
 
 import functools
@@ -68,6 +68,8 @@ _PER_FOLD = 13.0
 _LOG_S = np.arange(-28.0, math.log(700.0), 0.1)
 _SHARE_OF_S = np.exp(_LOG_S - np.exp(_LOG_S))
 _SHARE_OF_S /= _SHARE_OF_S.sum()
+# A rate below which a polynomial of its logarithm is not trusted.
+_LEAST_RATE = 1e-290
 # A life over the mean, beyond which the exponential law of star1 has nothing.
 _LONGEST_LIFE = 40.0
 # The relative step towards the fixed point C that ends the search.
@@ -145,6 +147,20 @@ class Mixture(NamedTuple):
         means[:, len(self.laws) - lost :] = 0.0
         return np.asarray(means @ self.coefficients)
 
+    def mean_rates(
+        self, rates: Array, ageing: Ageing, stretch: Array, lost: int = 0
+    ) -> Array:
+        """Means of rates whose logarithms are polynomials, shape (velocities, ...), of
+        those of the laws, shape (laws, ...), as `weights` means other values."""
+        logs = self.coefficients @ np.log(rates.reshape(len(self.laws), -1))
+        logs[len(self.laws) - lost :] = 0.0
+        square = ageing.square((ageing.alpha * stretch)[:, None] * np.exp(_LOG_S))
+        found = [
+            _SHARE_OF_S @ np.exp(self.polynomials(np.log(each)) @ logs)
+            for each in square
+        ]
+        return np.array(found).reshape(-1, *rates.shape[1:])
+
 
 def mixture_of(law: Gamma, low: float, high: float, count: int) -> Mixture:
     """A mixture of so many laws that newborn thresholds of a gamma law become."""
@@ -219,11 +235,8 @@ class _Solution:
         error = of.errors.sum(axis=2) + self.missed_rate(p, of) + _LEAST_ERROR * total
         grown = np.ones(len(self.stretch))
         if self.ages:  # an error of C moves births, and these C again
-            fewer = self.integrals(p, self.weights(self.stretch, 2))
-            error += np.abs(total - fewer.total)
-            moved = self.integrals(
-                p, self.weights(self.stretch * math.exp(_CHANGE_OF_C))
-            )
+            error += np.abs(total - self.integrals(p, self.stretch, 2).total)
+            moved = self.integrals(p, self.stretch * math.exp(_CHANGE_OF_C))
             slope = np.log(moved.total[0] / total[0]) / _CHANGE_OF_C
             grown = 1.0 / np.maximum(1.0 - slope, 1e-3)
         if not isinstance(self.mixture.laws[0], Gamma):
@@ -234,6 +247,18 @@ class _Solution:
     def weights(self, stretch: Array, lost: int = 0) -> Array:
         """Weights of the mixture's laws at each velocity, given C."""
         return self.mixture.weights(self.ageing, stretch, lost)
+
+    def mean_rates(self, rates: Array, stretch: Array, lost: int = 0) -> Array:
+        """Means over births of the laws' rates h, shape (laws, ...), at each velocity,
+        given C, shape (velocities, ...)."""
+        means = np.asarray(np.tensordot(self.weights(stretch, lost), rates, 1))
+        if self.ages and self.contacts.barrier.by_force:
+            # signed weights, of off-rates that differ by many orders, leave only noise
+            known = (rates > _LEAST_RATE).all(axis=0)
+            means[:, known] = self.mixture.mean_rates(
+                rates[:, known], self.ageing, stretch, lost
+            )
+        return means
 
     def rate(
         self, law: ThresholdLaw, y: Array, above: Array, *, finer: bool = False
@@ -266,13 +291,16 @@ class _Solution:
         ahead = (x if smooth else middle) * self.contacts.law.scale
         return np.array([rates, [law.sf(ahead) for law in laws]])
 
-    def integrals(self, panels: Panels, weights: Array) -> _PanelIntegrals:
+    def integrals(
+        self, panels: Panels, stretch: Array, lost: int = 0
+    ) -> _PanelIntegrals:
         """C = int J_c exp(-Delta U) dx and int x exp(-Delta U) E[kappa; xi > x] dx
-        (nt13; sqrt law: derived)."""
+        (nt13; sqrt law: derived) of births that follow from `stretch`."""
         rule, h = ClenshawCurtis, 0.5 * (panels.right - panels.left)[:, None]
         x = panels.left[:, None] + h * (1.0 + rule.nodes)
-        values = np.tensordot(weights, panels.values, axes=(1, 1))
-        rate, J = np.moveaxis(values, (1, 3), (0, 2))  # (velocities, panels, 17)
+        rates, survivals = panels.values
+        rate = np.swapaxes(self.mean_rates(rates, stretch, lost), 1, 2)
+        J = np.swapaxes(np.tensordot(self.weights(stretch, lost), survivals, 1), 1, 2)
         hazard = self.attempts * np.maximum(rate, 0.0) * h
         gained = np.maximum(hazard @ rule.weights, 0.0)
         before = np.cumsum(gained, axis=1) - gained
@@ -308,7 +336,7 @@ class _Solution:
 
     def too_rough(self, panels: Panels) -> tuple[Array, _PanelIntegrals]:
         """`judge` at the C that is known."""
-        of = self.integrals(panels, self.weights(self.stretch))
+        of = self.integrals(panels, self.stretch)
         resolved = _RESOLVED_MIXTURE if self.ages else _RESOLVED_IN_X
         rough = (of.errors > resolved * of.total[:, :, None]).any(axis=(0, 1))
         width = panels.right - panels.left
@@ -318,7 +346,7 @@ class _Solution:
         """Find the fixed point C by the secant rule at each velocity."""
 
         def excess(log_C: Array) -> Array:
-            C = self.integrals(panels, self.weights(np.exp(log_C))).total[0]
+            C = self.integrals(panels, np.exp(log_C)).total[0]
             return np.asarray(np.log(C) - log_C)
 
         old = np.log(self.stretch)
@@ -342,7 +370,8 @@ class _Solution:
         laws = self.mixture.laws
         finer = np.array([self.rate(law, middle, middle, finer=True) for law in laws])
         here = panels.values[0, :, ClenshawCurtis.nodes.size // 2]
-        missed = np.abs(self.weights(self.stretch) @ (finer - here))
+        of_finer, of_here = (self.mean_rates(r, self.stretch) for r in (finer, here))
+        missed = np.abs(of_finer - of_here)
         missed *= self.attempts[:, 0] * (panels.right - panels.left)
         wrong = np.minimum(8.0 * missed, 1.0) * _sums_onward(of.parts)
         return np.asarray(wrong.sum(axis=2))

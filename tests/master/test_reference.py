@@ -714,3 +714,23 @@ def test_bonds_that_break_long_before_they_have_aged():
     assert abs(off) < spread.error[0] + 1e-6 * exact.force_variance.value
     young = reference(dataclasses.replace(bonds, aging=Aging()), drive).friction
     assert abs(young.value - found.friction.value) > 10.0 * found.friction.stderr
+
+
+def test_bonds_that_live_to_age():
+    """Thresholds that grow up to tenfold while off-rates are reached that differ by many
+    orders (sqrt law: stronger contacts pull harder): friction and its variance are known
+    to 1e-9 and 1e-6, and are those of simulated bonds: |z| < 4.5 (false alarm 1e-5).
+    Without aging friction is beyond 10 standard errors."""
+    aging = Aging("flow", rate=0.0227, x_star_final=5.405)
+    heat = Thermal(barrier="bell", off_rate=0.00345, force_scale=0.0998)
+    law = Gamma(2.5, 0.566)
+    bonds = Ensemble(law, heat, stiffness_law="sqrt", disorder="annealed", aging=aging)
+    exact = reference(bonds, Drive(0.0366), variance=True)
+    found = steady(bonds, Drive(0.0366), rel_error=1e-4)
+    for name, known in {"friction": 1e-9, "force_variance": 1e-6}.items():
+        ours, theirs = getattr(found, name), getattr(exact, name)
+        assert theirs.stderr < known * theirs.value
+        off = ours.value - theirs.value
+        assert abs(off) < 4.5 * math.hypot(ours.stderr, theirs.stderr)
+    young = reference(dataclasses.replace(bonds, aging=Aging()), Drive(0.0366)).friction
+    assert abs(young.value - found.friction.value) > 10.0 * found.friction.stderr
