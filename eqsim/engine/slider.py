@@ -387,15 +387,18 @@ class Slider:
         records = self.block_sums.view(SUMS)[:, 0]
         threads = max(1, min(threads, records.size // _BLOCKS_PER_THREAD))
         self.pool = ThreadPool(threads - 1) if threads > 1 else None
-        # A group, and arguments of `advance` for a thread.
-        self.shares = []
+        # A group, and machine code and arguments of `advance` for a thread.
+        self.shares: list[tuple[Any, ...]] = []
         of_groups = np.split(records, np.cumsum(blocks)[:-1])
         for group, sums_of in zip(self.groups, of_groups, strict=True):
             ends = (np.arange(threads + 1) * sums_of.size // threads).tolist()
             for begin, end in pairwise(ends):
                 part = group.population[begin * BLOCK : end * BLOCK]
                 first = group.first + begin * BLOCK
-                self.shares.append((group, first, part, sums_of[begin:end]))
+                mine = first, part, sums_of[begin:end]
+                still = Piece(0.0, 0.0, 1.0)
+                code = advance.compiled_for(group.laws, still, group.key, *mine)
+                self.shares.append((group, code, *mine))
         laws = [kind.contacts.thresholds for kind in ensemble.kinds]
         self.least_slip = min(map(least_slip, laws)) / unit
         width = min(map(width_of, laws))
@@ -475,13 +478,13 @@ class Slider:
         """Follow all contacts along a piece. Returns sums divided by their number."""
         self.block_sums.fill(0.0)
         mine, *others = [
-            (x.laws, piece._replace(duration=piece.duration / x.unit), x.key, *share)
-            for x, *share in self.shares
+            (code, x.laws, piece._replace(duration=piece.duration / x.unit), x.key, *of)
+            for x, code, *of in self.shares
         ]
         pool = self.pool
-        waiting = [pool.submit(advance, *other) for other in others if pool]
-        for share in (mine,) if pool else (mine, *others):
-            advance(*share)
+        waiting = [pool.submit(code, *other) for code, *other in others if pool]
+        for code, *share in (mine,) if pool else (mine, *others):
+            code(*share)
         for waited in waiting:
             waited.result()
         total = (self.block_sums * self.factors).sum(axis=0)

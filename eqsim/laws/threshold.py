@@ -197,9 +197,10 @@ class Gamma(Continuous):
 
     def inverse_survival(self, e: Any) -> Array:
         e = np.asarray(e, float)
-        low = special.gammaincinv(self.n + 1.0, -np.expm1(-e))
-        high = special.gammainccinv(self.n + 1.0, np.exp(-e))
-        return self.x_star * np.sqrt(np.where(e < 0.7, low, high))
+        squares, low = np.empty_like(e), e < 0.7  # either inverse takes long
+        squares[low] = special.gammaincinv(self.n + 1.0, -np.expm1(-e[low]))
+        squares[~low] = special.gammainccinv(self.n + 1.0, np.exp(-e[~low]))
+        return np.asarray(self.x_star * np.sqrt(squares))
 
     def table(self) -> Array:
         e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
