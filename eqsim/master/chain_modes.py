@@ -18,7 +18,7 @@ from scipy import linalg, optimize
 
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate
-from eqsim.master.characteristic import NO_VALUE, Loop, border_of, root_of, roots_from
+from eqsim.master.characteristic import NO_VALUE, OF_COARSER, Loop, root_of, roots_from
 from eqsim.master.stability import NEUTRAL, pulled_by
 from eqsim.model.chain import Chain
 from eqsim.model.drive import Programme, Stage
@@ -181,9 +181,7 @@ def chain_modes(
     coupling = chain.coupling
     springs = _Links(max(K_d, _FAINT), coupling, chain.bulk_damping * rate)
     lowest = _lowest(chain, K_d)
-    border, (fine, coarse, scan) = pulled.resolved(
-        pulled.loops(), lambda each: border_of(each.coarse, each.scan)
-    )
+    border, (fine, coarse, scan) = pulled.border(rough=True)
     last = _BEYOND * math.sqrt(max(border.stiffness, springs.plate) / coupling)
     grid = np.linspace(0.0, min(last, math.pi), _WAVE_NUMBERS)
     asked = grid if wave_numbers is None else np.asarray(wave_numbers, float)
@@ -210,7 +208,7 @@ def chain_modes(
     seen = np.append(asked, lowest)
     q, near = seen.tolist(), rough[np.searchsorted(every, seen)].tolist()
     p = np.array([springs.root(fine, *each) for each in zip(q, near, strict=True)])
-    error = np.abs(p - near) + 1e-9 * np.abs(p)
+    error = OF_COARSER * np.abs(p - near) + 1e-9 * np.abs(p)
     critical = Estimate(0.0, 0.0, 0)
     if roots[0].real > 0.0:
         falls = np.flatnonzero((rough.real[:-1] > 0.0) & (rough.real[1:] <= 0.0))
@@ -229,7 +227,9 @@ def chain_modes(
                 ).root
                 for loop in (fine, coarse)
             ]
-            critical = Estimate(found[0], abs(found[0] - found[1]) + 1e-9, 0)
+            critical = Estimate(
+                found[0], OF_COARSER * abs(found[0] - found[1]) + 1e-9, 0
+            )
     softest = NO_VALUE
     if not math.isnan(p.real[-1]):
         softest = Estimate(rate * float(p.real[-1]), rate * float(error[-1]), 0)

@@ -56,6 +56,9 @@ FINE = Nodes(128, 8.2, 14)
 # Fewer panels and a smaller range than FINE, so that the difference shows the error of
 # either.
 COARSE = Nodes(64, 7.4, 10)
+# The error of FINE over its difference from COARSE: tables of rates are of second order,
+# with 1.4 times as many cells.
+OF_COARSER = 1.5
 # Fewest panels, for scans.
 SCAN = Nodes(24, 8.2, 6)
 # Of these panels of thresholds so many fewer where heat blurs them.
@@ -86,8 +89,8 @@ _FASTEST_DECAY = 4.0
 # growth within a panel of ages makes some that do not exist.
 _CANDIDATES = 12
 
-# Phase over a panel of ages that its eight nodes resolve, to 1e-7 of the force.
-_RESOLVED_PHASE = 10.0
+# |p| times a panel of ages that its eight nodes resolve, to 1e-5 of Z.
+_RESOLVED = 8.0
 
 # An estimate without a value.
 NO_VALUE = Estimate(None, None, 0)
@@ -152,12 +155,13 @@ class Loop(NamedTuple):
         """Mean length of a cycle, C + V tau."""
         return 1.0 / self.beta
 
-    def resolves(self, frequency: float) -> bool:
-        """True if panels of ages are short beside a period; else perturbations are
-        found that do not exist. No panels can be short beside none."""
-        if self.lives is None or math.isinf(frequency):
+    def resolves(self, p: complex) -> bool:
+        """True if panels of ages are short beside a period, growth and decay; else
+        perturbations are found that do not exist. No panels can be short beside none.
+        """
+        if self.lives is None or math.isinf(abs(p)):
             return True
-        return frequency * float(self.lives.width.max()) < _RESOLVED_PHASE
+        return abs(p) * float(self.lives.width.max()) < _RESOLVED
 
     def response(self, p: Array) -> Array:
         """Z without its term in eta_l p (1 - pinned), which is in `damping`; p complex,
@@ -285,15 +289,16 @@ def _crossing(loop: Loop, low: float, high: float) -> Border:
 
 
 def root_of(loop: Loop, coarse: Loop, stiffness: float) -> complex | None:
-    """Find the slowest root as `slowest_of` does, from `guesses_of` of `coarse`."""
-    return slowest_of(loop, guesses_of(coarse, stiffness), stiffness)
+    """Find the slowest root, if any, from `guesses_of` of `coarse`."""
+    roots = slowest_first(loop, guesses_of(coarse, stiffness), stiffness)
+    return roots[0] if roots else None
 
 
-def slowest_of(loop: Loop, guesses: Array, stiffness: float) -> complex | None:
-    """Find the root of the characteristic equation with the largest real part,
-    imaginary part >= 0, by Newton's method from guesses; None without any."""
+def slowest_first(loop: Loop, guesses: Array, stiffness: float) -> list[complex]:
+    """Find roots of the characteristic equation, imaginary part >= 0, by Newton's method
+    from guesses, those with the largest real part first."""
     roots = roots_from(loop, guesses, stiffness)
-    return complex(roots[np.argmax(roots.real)]) if roots.size else None
+    return list(roots[np.argsort(-roots.real)].tolist())
 
 
 def guesses_of(loop: Loop, stiffness: float) -> Array:

@@ -23,6 +23,7 @@ between those at which H reaches given levels: heat may break contacts in a narr
 below their thresholds.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -45,23 +46,30 @@ _ORDER = 8
 _CELLS = 100
 # Relative step of ages for the change of the hazard with age.
 _AGE_STEP = 1e-4
-# Re p times the width of a panel, beyond which Q follows its integrand at once.
-_AT_ONCE = 30.0
+# |p| times the width of a panel, beyond which polynomials do not follow exp(p a).
+_STEEP = 8.0
+# Terms of an integral by parts.
+_PARTS = 3
 # Rounds in which thresholds of the age at which contacts break are found.
 _ROUNDS = 4
 
 
-def _integrals(nodes: Array) -> Array:
-    """Matrix of integrals from -1 to each node of a polynomial from its values at all
-    nodes."""
-    powers = np.vander(nodes, increasing=True)
-    order = np.arange(1, nodes.size + 1)
-    integrals = (nodes[:, None] ** order - (-1.0) ** order) / order
-    return np.asarray(np.linalg.solve(powers.T, integrals.T).T)
+def _from_values(of_powers: Callable[[Array, Array], Array], at: Array) -> Array:
+    """Matrix that gives numbers of a polynomial `at` points, from its values at the
+    nodes of a panel from -1 to 1, those of x^n being `of_powers` (points, n)."""
+    powers = np.vander(gauss_legendre(_ORDER).nodes, increasing=True)
+    wanted = of_powers(at[:, None], np.arange(_ORDER))
+    return np.asarray(np.linalg.solve(powers.T, wanted.T))
 
 
-# From values at the nodes of a panel to integrals up to these.
-_INTEGRALS = _integrals(gauss_legendre(_ORDER).nodes).T
+_NODES = gauss_legendre(_ORDER).nodes
+# From values at the nodes of a panel to integrals up to these, to slopes there, and to
+# values at its ends.
+_INTEGRALS = _from_values(
+    lambda x, n: (x ** (n + 1) - (-1.0) ** (n + 1)) / (n + 1), _NODES
+)
+_SLOPES = _from_values(lambda x, n: n * x ** np.maximum(n - 1, 0), _NODES)
+_ENDS = _from_values(lambda x, n: x**n, np.array([-1.0, 1.0]))
 
 
 class Lives(NamedTuple):
@@ -101,14 +109,12 @@ class Lives(NamedTuple):
 
     def response(self, p: complex, delay: DelayLaw, drag: float) -> complex:
         """Z/beta without the viscous force of the mean share of detached contacts."""
-        steep = (np.real(p) * self.width > _AT_ONCE)[..., None]
         since = self.age - self.begin[..., None]
         faded = np.exp(-p * since)
         decay = faded * np.exp(-p * self.begin)[..., None]
         dx = 1.0 - decay
         rate = p * self.hazard + self.ageing * dx
-        dH = self.hazard * dx - self._answer(p, rate, np.where(steep, 1.0, faded))
-        dH -= np.where(steep, rate / p, 0.0)
+        dH = self.hazard * dx - self._answer(p, rate, faded)
         weight, aged = self.weight, self.age * self.stiff
         end = -self.ending * -np.expm1(-p * self.last)
         lost = end.sum() - (weight * self.pinned * dH).sum()
@@ -122,18 +128,24 @@ class Lives(NamedTuple):
 
     def _answer(self, p: complex, rate: Array, faded: Array) -> Array:
         """Q of an integrand `rate`, with e^(-p age) since the panel began, both of
-        shape (n, panels, nodes); 0 in panels where Q follows its integrand at once."""
-        weights = gauss_legendre(_ORDER).weights
-        steep = np.real(p) * self.width > _AT_ONCE
-        grown = rate / faded
-        inner = grown @ _INTEGRALS * (0.5 * self.width[..., None])
-        carried = grown @ weights * (0.5 * self.width)
+        shape (n, panels, nodes). In steep panels it follows by integration by parts."""
+        steep, half = np.abs(p) * self.width > _STEEP, 0.5 * self.width[..., None]
         fade = np.exp(-p * self.width)
+        grown = rate / np.where(steep[..., None], 1.0, faded)
+        inner = grown @ _INTEGRALS * half * faded
+        carried = grown @ gauss_legendre(_ORDER).weights * (0.5 * self.width) * fade
+        if steep.any():
+            late, term = np.zeros_like(rate[steep]), rate[steep] / p
+            for _ in range(_PARTS):
+                late += term
+                term = -term @ _SLOPES / (half[steep] * p)
+            first, last = (late @ _ENDS).T
+            inner[steep] = late - first[:, None] * faded[steep]
+            carried[steep] = last - first * fade[steep]
         before = np.zeros(self.width.shape, complex)
         for k in range(1, self.width.shape[1]):
-            after = fade[:, k - 1] * (before[:, k - 1] + carried[:, k - 1])
-            before[:, k] = np.where(steep[:, k - 1], rate[:, k - 1, -1] / p, after)
-        return np.where(steep[..., None], 0.0, (before[..., None] + inner) * faded)
+            before[:, k] = fade[:, k - 1] * before[:, k - 1] + carried[:, k - 1]
+        return before[..., None] * faded + inner
 
 
 def lives_of(contacts: Reduced, xi: Array, share: Array, panels: int) -> Lives:

@@ -11,7 +11,7 @@ aging and delay it does neither, as friction is the same for any X(t).
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -23,6 +23,8 @@ from eqsim.laws.barrier import Mechanical
 from eqsim.master import characteristic
 from eqsim.master.characteristic import (
     NO_VALUE,
+    OF_COARSER,
+    Border,
     Loop,
     Mode,
     border_of,
@@ -30,7 +32,7 @@ from eqsim.master.characteristic import (
     loop_of,
     mode,
     roots_from,
-    slowest_of,
+    slowest_first,
 )
 from eqsim.master.idle import IDLE, shift_by_heat
 from eqsim.master.profile import Profile
@@ -76,10 +78,11 @@ _SINGULAR = 1e-6
 _LIVES_OF_A_CYCLE = 10.0
 # Errors by which a rate, or a stiffness, must differ from a border.
 _SURE = 2.0
+# Difference of a root from that of coarser panels, over its growth or decay, from which
+# on it is none if they do not resolve it.
+_SAME_ROOT = 0.01
 # How many times as many panels of ages as usual resolve a higher frequency.
 _FINER_AGES = 4
-
-Found = TypeVar("Found", bound=tuple[Any, float])
 
 
 @dataclass(frozen=True, repr=False)
@@ -231,15 +234,14 @@ class SteadyPull(NamedTuple):
             *(loop_of(contacts, pull, x._replace(ages=finer * x.ages)) for x in nodes)
         )
 
-    def resolved(
-        self, loops: Loops, find: Callable[[Loops], Found]
-    ) -> tuple[Found, Loops]:
-        """Find something, [1] of which is a frequency, with these loops, or with finer
-        ones where they do not resolve it; and the loops that were taken."""
-        found = find(loops)
-        if not loops.fine.resolves(found[1]):
+    def border(self, *, rough: bool = False) -> tuple[Border, Loops]:
+        """The border of stability of the fine nodes, or of the coarse ones, and loops
+        that resolve its frequency, if these finer ones do."""
+        loops = self.loops()
+        found = border_of(loops.coarse if rough else loops.fine, loops.scan)
+        if not loops.fine.resolves(found.frequency):
             loops = self.loops(_FINER_AGES)
-            found = find(loops)
+            found = border_of(loops.coarse if rough else loops.fine, loops.scan)
         return found, loops
 
 
@@ -313,13 +315,12 @@ def critical_stiffness(pulled: SteadyPull) -> Estimate:
     InputError."""
     if pulled.method == NEUTRAL:
         return Estimate(0.0, 0.0, 0)
-    (stiffness, frequency), loops = pulled.resolved(
-        pulled.loops(), lambda each: border_of(each.fine, each.scan)
-    )
+    (stiffness, frequency), loops = pulled.border()
     if math.isinf(stiffness):
         return Estimate(math.inf, 0.0, 0)
     rough = border_of(loops.coarse, loops.scan).stiffness
-    error, reliable = abs(stiffness - rough) + 1e-12, loops.fine.resolves(frequency)
+    error = OF_COARSER * abs(stiffness - rough) + 1e-12
+    reliable = loops.fine.resolves(frequency)
     return Estimate(stiffness, error, 0, None, reliable)
 
 
@@ -351,21 +352,22 @@ def _mode(pulled: SteadyPull) -> Mode:
     """The slowest perturbation of steady sliding."""
     if pulled.method == NEUTRAL:
         return Mode(Estimate(0.0, 0.0, 0), NO_VALUE)
-    stiffness, usual = pulled.stage.stiffness, pulled.loops()
-    guesses = guesses_of(usual.scan, stiffness)
-
-    def find(loops: Loops) -> tuple[complex | None, float]:
-        p = slowest_of(loops.fine, guesses, stiffness)
-        return p, abs(p.imag) if p else 0.0
-
-    (p, frequency), loops = pulled.resolved(usual, find)
-    if p is None:
-        return Mode(NO_VALUE, NO_VALUE)
-    near = roots_from(loops.coarse, np.array([p]), stiffness)
-    rough = [*near.tolist(), math.inf][0]
-    rate = pulled.velocity / pulled.ensemble.thresholds.scale
-    size, reliable = abs(p) * rate, loops.fine.resolves(frequency)
-    return mode(p * rate, abs(p - rough) * rate + 1e-9 * size, 1e-9 * size, reliable)
+    stiffness, loops = pulled.stage.stiffness, pulled.loops()
+    guesses = guesses_of(loops.scan, stiffness)
+    roots = slowest_first(loops.fine, guesses, stiffness)
+    if roots and not loops.fine.resolves(roots[0]):
+        loops = pulled.loops(_FINER_AGES)
+        roots = slowest_first(loops.fine, guesses, stiffness)
+    rate, sure = pulled.velocity / pulled.ensemble.thresholds.scale, True
+    for p in roots:
+        near = roots_from(loops.coarse, np.array([p]), stiffness)
+        missed = min(map(abs, (p - near).tolist()), default=math.inf)
+        if loops.fine.resolves(p) or missed < _SAME_ROOT * abs(p.real):
+            least = 1e-9 * abs(p) * rate
+            return mode(p * rate, OF_COARSER * missed * rate + least, least, sure)
+        # coarser panels do not have this root, so that it is none
+        sure = sure and p.real < 0.0
+    return Mode(NO_VALUE, NO_VALUE)
 
 
 def fresh_slip(ensemble: Ensemble, drive: Drive | Programme) -> FreshSlip:

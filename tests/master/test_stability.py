@@ -26,13 +26,14 @@ from eqsim import (
     Stage,
     Table,
     Thermal,
+    Weibull,
     fresh_slip,
     reference,
     stability,
     trajectory,
     transient,
 )
-from eqsim.laws.named import Lognormal, Pareto, Uniform
+from eqsim.laws.named import Lognormal, Normal, Pareto, Uniform
 from eqsim.master import characteristic
 from eqsim.master.stability import border, critical_stiffness, pulled_by
 from eqsim.model.reduced import pull_of, reduced
@@ -581,18 +582,71 @@ def test_slow_perturbations_follow_the_steady_force():
 
 @pytest.mark.verification
 def test_panels_of_ages_resolve_the_period():
-    """Perturbations that heat breaks decay without a period. Negative control: panels
-    that a period of a seventieth of a life is shorter than have one that grows."""
-    drive = pulled(0.1, damping=0.0)
-    found = stability(ABOVE, drive, critical=False)
+    """Perturbations that heat breaks decay without a period."""
+    found = stability(ABOVE, pulled(0.1, damping=0.0), critical=False)
     assert found.growth.reliable
     assert found.period.value is None
     assert found.growth.stderr < 1e-4
     assert found.growth.value < 0.0
-    fine, _, scan = pulled_by(ABOVE, drive).loops()
-    p = characteristic.root_of(fine, scan, 0.1)
-    assert p.real > 0.0
-    assert not fine.resolves(p.imag)
+
+
+# Heat breaks these long before their thresholds; all slide steadily.
+HOT = {
+    "narrow, hot": (
+        {"thresholds": Normal(0.2), "thermal": Thermal(0.241)},
+        pulled(0.00953, damping=0.0, velocity=1.8),
+    ),
+    "slow": (
+        {
+            "thresholds": Uniform(0.5, 1.5),
+            "thermal": Thermal(0.435),
+            "stiffness_law": "sqrt",
+        },
+        pulled(0.00329, damping=1.0, velocity=0.0288),
+    ),
+    "delayed": (
+        {
+            "thresholds": Weibull(2.1232),
+            "thermal": Thermal(0.0181),
+            "delay": Delay(0.4845),
+        },
+        pulled(0.238, damping=0.0, velocity=0.0262),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", HOT)
+def test_perturbations_that_panels_of_ages_do_not_resolve(case):
+    """Growth within a panel of ages changes Z little: Z is within 2e-3 of that of eight
+    times as many panels where exp(p a) changes by any factor in a panel. Polynomials
+    miss 2e-2 where it changes by exp(14), and 1e3 where by exp(30)."""
+    changed, drive = HOT[case]
+    ensemble = Ensemble(**{"stiffness_law": "uniform", **changed}, disorder="annealed")
+    usual = loop(ensemble, drive, characteristic.Nodes(64, 8.2, 14))
+    better = loop(ensemble, drive, characteristic.Nodes(64, 8.2, 112))
+    sizes = np.geomspace(1.0, 60.0, 12) / usual.lives.width.max()
+    p = np.append(sizes, sizes * np.exp(0.25j * np.pi))
+    assert np.abs(usual.response(p) - better.response(p)).max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    "case",
+    ["narrow, hot", "slow", pytest.param("delayed", marks=pytest.mark.verification)],
+)
+def test_perturbations_that_do_not_exist(case):
+    """A slider that no spring, however soft, makes unstable has no growing perturbation,
+    and the slowest is that of eight times as many panels of ages."""
+    changed, drive = HOT[case]
+    ensemble = Ensemble(**{"stiffness_law": "uniform", **changed}, disorder="annealed")
+    found = stability(ensemble, drive)
+    assert found.critical_stiffness.value == 0.0
+    assert found.verdict == "stable"
+    assert found.growth.reliable
+    better = loop(ensemble, drive, characteristic.Nodes(64, 8.2, 112))
+    rate = found.velocity / ensemble.thresholds.scale
+    near = np.array([found.growth.value / rate + 0j])
+    root = characteristic.roots_from(better, near, found.stiffness)[0] * rate
+    assert abs(root - found.growth.value) < found.growth.stderr
 
 
 @pytest.mark.verification
