@@ -105,6 +105,10 @@ MISTAKES = [
     M("annealed: off-rates of bonds are polynomials themselves", "master/annealed.py",
       "if self.ages and self.contacts.barrier.by_force:", "if self.ages and False:",
       "test_reference.py::test_bonds_that_live_to_age"),
+    M("annealed: no rare strong contacts in the mean off-rate", "laws/barrier/pooled.py",
+      "ranks = [FAR_RANKS_ABOVE]", "ranks = []",
+      "test_bonds.py::test_rare_strong_contacts_set_the_mean_off_rate & "
+      "test_bonds.py::test_bonds_that_age_and_pull_harder"),
     M("distributions: slope of a bin taken from the next", "laws/threshold.py", "xi[1:] * (1.0 - _ASIDE)",
       "xi[1:] * (1.0 + _ASIDE)", "test_threshold.py::test_draws_beside_jumps_and_across_gaps"),
     M("distributions: cells that end at jumps are searched for one life only", "engine/lanes.py",

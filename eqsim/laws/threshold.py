@@ -673,23 +673,32 @@ _RANKS_ABOVE = np.array([
     1e-6, 1e-4, 2e-3, 0.01, 0.05, 0.15, 0.4, 0.8, 1.5,
     2.5, 4.0, 6.0, 9.0, 13.0, 18.0, 25.0, 35.0, 50.0,
 ])  # fmt: skip
+# The same for what grows exponentially with the threshold, about as far apart as
+# thresholds of a normal tail.
+FAR_RANKS_ABOVE = np.append(_RANKS_ABOVE, np.arange(8.0, 22.5) ** 2)
 # Where panels end next to an infinite density at an end of the support: distances from
 # it over that of the median, or of the panels' own beginning.
 _TOWARDS_INFINITE = 0.25 ** np.arange(1.0, 16.0)
 
 
-def panels_above(law: ThresholdLaw, x: Array, layer: Array | None = None) -> Array:
+def panels_above(
+    law: ThresholdLaw,
+    x: Array,
+    layer: Array | None = None,
+    ranks: Array = _RANKS_ABOVE,
+) -> Array:
     """Edges of panels, shape (n, panels + 1), from x (n,) to where no threshold of a
-    smooth law is left: on the scale of the law itself, and of a boundary layer above x
-    whose edges `layer`, shape (n, any), are merged in. Lengths in units of `law.scale`.
+    smooth law is left: on the scale of the law itself, at `ranks` above that of x, and
+    of a boundary layer above x whose edges `layer`, shape (n, any), are merged in.
+    Lengths in units of `law.scale`.
     """
     low, high = (edge / law.scale for edge in law.support)
     left = np.maximum(x, low)[:, None]
     # only panels depend on this table
-    e = np.exp(np.linspace(-36.0, math.log(100.0), 400))
+    e = np.exp(np.linspace(-36.0, math.log(min(2.0 * ranks[-1], 700.0)), 400))
     xi = np.asarray(law.inverse_survival(e)) / law.scale
     rank = np.interp(left, xi, e)
-    edges = np.minimum(np.maximum(np.interp(rank + _RANKS_ABOVE, e, xi), left), high)
+    edges = np.minimum(np.maximum(np.interp(rank + ranks, e, xi), left), high)
     inside = [np.broadcast_to(law.kinks / law.scale, (left.size, law.kinks.size))]
     inside += [] if layer is None else [layer]
     with np.errstate(divide="ignore"):

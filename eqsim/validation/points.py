@@ -28,6 +28,7 @@ from eqsim.errors import InputError
 from eqsim.laws.aging import RULES, Aging
 from eqsim.laws.aging.base import Drift
 from eqsim.laws.barrier import BARRIERS
+from eqsim.laws.barrier.pooled import has_thin_tail
 from eqsim.laws.delay import DELAYS, PARAMETERS, Delay
 from eqsim.laws.named import Lognormal
 from eqsim.laws.newborn import Newborn
@@ -126,6 +127,8 @@ def sample(
             ensemble = _stretched_at_birth(ensemble, newborn)
         if index % 3 == 0 and _may_lack_thresholds(ensemble):
             ensemble = replace(ensemble, thresholds=NoThresholds(unit))
+        if not _has_mean_rates(ensemble):
+            ensemble = replace(ensemble, stiffness_law="uniform")
         if index % step != first:
             continue  # before lives are sampled, which takes time
         if delay:
@@ -160,6 +163,13 @@ def _may_lack_thresholds(ensemble: Ensemble) -> bool:
     by_force = BARRIERS[ensemble.thermal.barrier].by_force
     fractions = ensemble.newborn.active and ensemble.newborn.of == "threshold"
     return by_force and not ensemble.aging.active and not fractions
+
+
+def _has_mean_rates(ensemble: Ensemble) -> bool:
+    """False for annealed bonds that are refused, as rare strong ones break too fast."""
+    pooled = ensemble.disorder == "annealed" and ensemble.stiffness_law == "sqrt"
+    by_force = BARRIERS[ensemble.thermal.barrier].by_force
+    return not (pooled and by_force) or has_thin_tail(ensemble.thresholds)
 
 
 def _drawn_thresholds(kind: str, unit: float, rng: np.random.Generator) -> ThresholdLaw:

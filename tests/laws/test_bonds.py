@@ -6,6 +6,8 @@ k = 1 unless said; rupture forces are then stretches at breaking.
 """
 
 import dataclasses
+import functools
+import itertools
 import math
 
 import mpmath
@@ -14,6 +16,7 @@ import pytest
 import scipy.stats
 from cases import chosen
 from kernels import compiled
+from scipy import integrate
 
 from eqsim import (
     Aging,
@@ -22,15 +25,19 @@ from eqsim import (
     Distribution,
     Drive,
     Ensemble,
+    Exponential,
     Gamma,
     InputError,
+    Lognormal,
     Newborn,
+    Normal,
     NoThresholds,
     Pathway,
     Programme,
     Segment,
     Stage,
     Thermal,
+    Weibull,
     reference,
     steady,
     trajectory,
@@ -44,6 +51,7 @@ from eqsim.io.runfile import check
 from eqsim.laws.barrier import base
 from eqsim.laws.barrier.bell import Bell
 from eqsim.laws.barrier.catch_slip import CatchSlip
+from eqsim.laws.barrier.pooled import pooled_rate
 from eqsim.master.steady import settled
 from eqsim.master.survivors import hazard_passed
 from eqsim.model.reduced import reduced
@@ -528,3 +536,61 @@ def test_transients_of_bonds_that_break_after_a_steep_rise_of_rates():
     assert exact.force_error.max() < 1e-3 * exact.force.max()
     error = np.hypot(found.force_stderr, exact.force_error)[1:]
     assert np.abs((found.force - exact.force)[1:] / error).max() < 4.5
+
+
+def annealed_bonds(law, **more):
+    """Bonds that pull harder the stronger they are."""
+    heat = Thermal(barrier="bell", off_rate=1e-4, force_scale=0.1)
+    return Ensemble(law, heat, stiffness_law="sqrt", disorder="annealed", **more)
+
+
+@pytest.mark.parametrize("law", [Weibull(1.2), Normal(0.2)], ids=repr)
+def test_rare_strong_contacts_set_the_mean_off_rate(law):
+    """h(y) = int_y P_c(xi) exp(k_i y/force_scale) dxi by adaptive quadrature. Panels
+    that end where a share exp(-50) of thresholds is left miss 4 % of Weibull's at .25,
+    to which half of the contacts live."""
+    s = reduced(annealed_bonds(law), 1.0)
+    top = float(law.inverse_survival(600.0))
+    for y in (0.05, 0.12, 0.2, 0.25):
+        steep = y / (0.1 * law.rms)
+        exact = sum(
+            integrate.quad(
+                lambda xi, steep=steep: math.exp(steep * xi) * float(law.pdf(xi)),
+                low,
+                high,
+                epsrel=1e-11,
+            )[0]
+            for low, high in itertools.pairwise(np.linspace(y, top, 200).tolist())
+        )
+        found = pooled_rate(law, "sqrt", s.barrier, s.barrier.b, np.array([y]))
+        assert found[0] == pytest.approx(exact, rel=1e-10, abs=0)
+
+
+def test_bonds_that_age_and_pull_harder():
+    """Rates of annealed bonds that age are those of thresholds as rare as exp(-100):
+    |z| < 4.5 (false alarm 1e-5). Without these z was 21."""
+    aging = Aging("flow", rate=594.77, x_star_final=49.39)
+    heat = Thermal(barrier="bell", off_rate=3.174e-5, force_scale=0.22974)
+    law, annealed = Gamma(1.0, 2.3796), {"disorder": "annealed"}
+    bonds = Ensemble(law, heat, stiffness_law="sqrt", aging=aging, **annealed)
+    exact, found = (
+        solve(bonds, Drive(80.42)).friction
+        for solve in (reference, functools.partial(steady, rel_error=1e-4))
+    )
+    assert exact.stderr < 1e-8 * exact.value
+    assert abs(z_score(found, exact.value)) < 4.5
+
+
+@pytest.mark.parametrize(
+    "law",
+    [Exponential(), Weibull(0.7), Lognormal(0.3), Distribution(scipy.stats.gamma(9.0))],
+    ids=repr,
+)
+def test_bonds_whose_off_rates_have_no_mean(law):
+    """Where a share exp(-xi) has thresholds beyond xi, exp(k_i x/force_scale) diverges;
+    of contacts that are alike in stiffness it does not."""
+    for solve in (reference, functools.partial(steady, rel_error=0.1)):
+        with pytest.raises(InputError, match=r"thresholds = .*off-rates have no mean"):
+            solve(annealed_bonds(law), Drive(1.0))
+    alike = dataclasses.replace(annealed_bonds(law), stiffness_law="uniform")
+    assert reference(alike, Drive(1.0)).friction.stderr < 1e-6

@@ -20,7 +20,14 @@ from eqsim.laws.barrier import base
 from eqsim.laws.barrier.base import Barrier
 from eqsim.laws.law import Law
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
-from eqsim.laws.threshold import NO_STEPS, Gamma, Smooth, ThresholdLaw, panels_above
+from eqsim.laws.threshold import (
+    FAR_RANKS_ABOVE,
+    NO_STEPS,
+    Gamma,
+    Smooth,
+    ThresholdLaw,
+    panels_above,
+)
 from eqsim.numerics.compiled import routine
 from eqsim.numerics.quadrature import Rule, gauss_legendre, normal_exponent
 from eqsim.numerics.tables import Array, search
@@ -40,6 +47,10 @@ class PooledHazard(NamedTuple):
 NO_POOL = PooledHazard(np.empty(0), np.empty(0), np.empty((0, 2)))
 MOST_POOLED_STEPS = 4096
 
+
+# Distance of the quantiles exp(-256) and exp(-512) over that of exp(-128) and exp(-256):
+# 2 of an exponential tail, 1.4 of a normal one.
+_EXPONENTIAL_TAIL = 1.9
 
 # Stretches whose rate is found at once: by panels, to bound memory, and by the
 # trapezoidal rule, whose tables then stay in the processor's cache.
@@ -178,7 +189,16 @@ def _by_panels(
         near = barrier.width(_EXPONENTS, origin, a)
     fixed = np.broadcast_to(ends, (y.size, ends.size))
     layer = np.concatenate((origin + np.minimum(near, far), fixed), axis=1)
-    edges = np.sqrt(np.maximum(panels_above(law, y[:, 0], layer) - y, 0.0))
+    ranks = []
+    if barrier.by_force and sqrt_law:
+        if not has_thin_tail(law):
+            raise InputError(
+                f"thresholds = {law}: strong contacts are too many for annealed bonds "
+                'of stiffness_law = "sqrt": off-rates have no mean; take "uniform"'
+            )
+        ranks = [FAR_RANKS_ABOVE]
+    above = panels_above(law, y[:, 0], layer, *ranks)
+    edges = np.sqrt(np.maximum(above - y, 0.0))
     with np.errstate(invalid="ignore"):  # at y = 0 the first edge is xi = 0
         E = barrier.exponent(*contact(y, edges[:, :-1]))
         unseen = log_w - E <= _UNSEEN_ATTEMPTS
@@ -190,6 +210,15 @@ def _by_panels(
     terms *= law.pdf(at[2] * law.scale) * law.scale
     terms[~np.isfinite(terms)] = 0.0  # the density may diverge at an end of the support
     return np.bincount(row, terms.sum(axis=1), y.size)
+
+
+def has_thin_tail(law: ThresholdLaw) -> bool:
+    """True unless rates that grow exponentially with the threshold have no mean, as
+    thresholds have an exponential tail or a heavier one."""
+    if math.isfinite(law.support[1]):
+        return True
+    near, middle, far = law.inverse_survival(np.array([128.0, 256.0, 512.0]))
+    return bool(far - middle <= _EXPONENTIAL_TAIL * (middle - near))
 
 
 def _steep(law: ThresholdLaw) -> Array:
