@@ -16,6 +16,7 @@ import numpy as np
 from scipy import interpolate
 
 from eqsim.errors import InputError
+from eqsim.laws.aging.pooled import PooledThresholds
 from eqsim.laws.barrier import base
 from eqsim.laws.barrier.base import Barrier
 from eqsim.laws.law import Law
@@ -215,7 +216,8 @@ def _by_panels(
 def has_thin_tail(law: ThresholdLaw) -> bool:
     """True unless rates that grow exponentially with the threshold have no mean, as
     thresholds have an exponential tail or a heavier one."""
-    if math.isfinite(law.support[1]):
+    mixed_gammas = isinstance(law, PooledThresholds)  # their tail is a normal one
+    if mixed_gammas or math.isfinite(law.support[1]):
         return True
     near, middle, far = law.inverse_survival(np.array([128.0, 256.0, 512.0]))
     return bool(far - middle <= _EXPONENTIAL_TAIL * (middle - near))
