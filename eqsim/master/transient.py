@@ -289,7 +289,8 @@ def renewal_of(profile: Profile, x: Array, contacts: Reduced) -> Renewal:
     taken on a circle |z| < 1, where hardly anything wraps around.
     """
     cells, h = x.size - 1, x[1]
-    survive = profile.at(x[1:])[0]
+    means = [np.diff(profile.integral(x, power)[power]) / h for power in (0, 1)]
+    survive = _in_place(np.append(1.0, profile.at(x[1:])[0]), means[0])
     size = fft.next_fast_len(_CIRCLE * cells, real=True)
     damping = _WRAPPED ** (np.arange(cells) / size)
 
@@ -299,19 +300,29 @@ def renewal_of(profile: Profile, x: Array, contacts: Reduced) -> Renewal:
     def back(product: Array) -> Array:
         return np.asarray(fft.irfft(product, size)[:cells] / damping)
 
-    means = (np.diff(profile.integral(x, power)[power]) / h for power in (0, 1))
     alive, work = map(transform, means)
     waiting = transform(contacts.delay.waiting(h, cells))
     turns = np.exp(-2j * math.pi / size * np.arange(waiting.size))
     z = _WRAPPED ** (1.0 / size) * turns
     reborn = 1.0 - (1.0 - z) * waiting
-    breaks = transform(1.0 - survive) / (waiting + reborn * alive)
+    breaks = transform(1.0 - survive[1:]) / (waiting + reborn * alive)
     detached = np.append(0.0, back(waiting * breaks))
     force = from_birth(profile, contacts, x, 1)
     force += np.append(0.0, back(reborn * breaks * work)) + contacts.drag * detached
     per_length = back(breaks) / h
     births = per_length - np.diff(detached) / h
     return Renewal(force, 1.0 - detached, per_length, births)
+
+
+def _in_place(falling: Array, means: Array) -> Array:
+    """Values at edges of cells, changed so that what falls within cells, if it is spread
+    evenly over each, falls where it does in the mean: what falls late in one is in part
+    counted in the next. `means` are those of the values over cells."""
+    late = means - 0.5 * (falling[:-1] + falling[1:])
+    falling = falling.copy()
+    falling[1:] += np.maximum(late, 0.0)
+    falling[1:-1] += np.minimum(late[1:], 0.0)
+    return falling
 
 
 def after(events: Array, response: Array) -> Array:
@@ -478,8 +489,11 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
         # whose decrease weighs breaks by the force they had at the beginning
         surviving = rest[2][2] - x * rest[1][2]
         carried = rest[1][1] - x * rest[0][1]
+        # int_x^inf of that
+        further = 0.5 * (rest[2][1] - 2.0 * x * rest[1][1] + x**2 * rest[0][1])
+        carried = _in_place(carried, (further[:-1] - further[1:]) / x[1])
         breaks = (carried[:-1] - carried[1:]) / cycle  # in each cell, times force
-        late, detached = _reborn(renewal_of(profile, x, s).force, x, s)
+        late, detached = _reborn(renewal_of(profile, x, s).force, x, s, profile)
         back = after(breaks, np.diff(late)) / x[1]
         waiting = s.drag * (1.0 - pinned) * detached
         solved.append((surviving / cycle + back + waiting - mean**2)[:: 3 - step])
@@ -500,11 +514,19 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     return Fluctuations(lag, values * unit**2, errors * unit**2)
 
 
-def _reborn(fresh: Array, x: Array, contacts: Reduced) -> tuple[Array, Array]:
+def _reborn(
+    fresh: Array, x: Array, contacts: Reduced, profile: Profile
+) -> tuple[Array, Array]:
     """Integral of the mean force from a break on, and mean force of a contact found
     detached, at edges `x`, from the mean force `fresh` of a contact pinned at 0."""
-    spline, drag, delay = CubicSpline(x, fresh), contacts.drag, contacts.delay.mean
-    total = spline.antiderivative()
+    drag, delay = contacts.drag, contacts.delay.mean
+    # the force of the first life may jump
+    later = CubicSpline(x, fresh - from_birth(profile, contacts, x, 1)).antiderivative()
+
+    def total(at: Array) -> Array:
+        return np.asarray(profile.integral(at, 1)[1] + later(at))
+
+    means = np.diff(total(x)) / x[1]
     if delay == 0.0:
         return total(x), np.zeros_like(x)
     if isinstance(contacts.delay, Fixed):
@@ -514,13 +536,13 @@ def _reborn(fresh: Array, x: Array, contacts: Reduced) -> tuple[Array, Array]:
     if not isinstance(contacts.delay, Exponential):
         # y: fresh * P(delay > x)
         left = contacts.delay.rest(x)
-        y = after(0.5 * (fresh[:-1] + fresh[1:]), -np.diff(left))
+        y = after(means, -np.diff(left))
         return drag * (delay - left) + total(x) - y, (drag * left + y) / delay
     # y' = (fresh - y)/delay, the mean force of those already pinned again, with fresh
-    # linear in each cell
+    # linear in each cell about its mean
     ratio = x[1] / delay
     newest, fading = -math.expm1(-ratio), np.exp(-x / delay)
     slope = 1.0 - newest / ratio
-    gained = (newest - slope) * fresh[:-1] + slope * fresh[1:]
+    gained = newest * means + (slope - 0.5 * newest) * np.diff(fresh)
     y = after(gained, fading[:-1])
     return drag * delay * (1.0 - fading) + total(x) - delay * y, drag * fading + y
