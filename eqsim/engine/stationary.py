@@ -153,7 +153,9 @@ def mean_lives(c: Contacts, xi: Array) -> Array:
             clock = np.exp(log_clock)
             stretches(c, xi, clock, stretch)
             total += half * weight * stretch * np.exp(log_clock - clock)
-    return total + ends * np.exp(-np.exp(last))
+    # what is left breaks next to where it is then, or at its threshold
+    stretches(c, xi, np.exp(last), stretch)
+    return total + np.where(last < top, ends, stretch) * np.exp(-np.exp(last))
 
 
 def extremes(c: Contacts) -> tuple[float, float]:

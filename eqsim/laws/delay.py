@@ -32,6 +32,9 @@ _OCTAVES = (-64, 6)
 _LOG_RANKS = np.linspace(-40.0, 4.2, 2400)
 # nodes of the trapezoidal rule for a normal variable
 _NODES = np.linspace(-10.0, 10.0, 201)
+# sigma from which on the saddle does not serve, and nodes of the rule that does
+_BROAD = 1.0
+_BROAD_NODES = np.linspace(-10.0, 16.0, 521)
 # |p| times the mean delay below which 1 - E[exp(-p delay)] would lose digits
 _NEAR_0 = 1e-3
 # activation over kT beyond which a delay of any unit has no end: exp(230) = 1e100
@@ -233,6 +236,15 @@ class LognormalDelay(_Drawn, _Shaped, Law):
         sigma, u = self.shape, np.asarray(p * self.mean, complex)
         weights = np.exp(-0.5 * _NODES**2)
         weights /= weights.sum()
+        if sigma >= _BROAD:
+            # along the line on which u times a delay is real, where nothing oscillates
+            off, total = np.angle(u) / sigma, np.zeros_like(u)
+            for s in _BROAD_NODES:
+                share = np.exp(-0.5 * (s - 1j * off) ** 2) / math.sqrt(2.0 * math.pi)
+                total -= share * np.expm1(
+                    -np.abs(u) * np.exp(sigma * (s - 0.5 * sigma))
+                )
+            return total * (_BROAD_NODES[1] - _BROAD_NODES[0])
         w = special.lambertw(u * math.exp(-0.5 * sigma**2) * sigma**2)
         near, far = np.zeros_like(u), np.zeros_like(u)
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):

@@ -72,6 +72,8 @@ _LEVEL_SHIFT = 0.3
 _RARER_THAN_BIRTHS = np.array([0.0, 0.3, 1.0, 3.0, 8.0, 20.0, 45.0])
 # -ln J_c where the chance that a threshold is above a birth has fallen.
 _FALLEN = np.array([1.0, 3.0, 7.0, 14.0, 28.0, 60.0, 120.0, 250.0])
+# So little below a discrete threshold contacts still hold.
+_BELOW = 1e-13
 # The narrowest panel of thresholds.
 _NARROWEST_RANKS = 1e-5
 # -ln J_c of the strongest contact that is asked for.
@@ -333,8 +335,11 @@ def _weights_of_births(
     middle, law = x.mean(axis=1, keepdims=True), contacts.law
     if contacts.newborn.of == "threshold":
         return _density(births, x / xi, middle / xi) / xi
-    # J_c of a discrete law jumps between panels only
-    at = np.abs(middle if law.steps.size else x)
+    at = np.abs(x)
+    if (
+        law.steps.size
+    ):  # J_c jumps between panels only, the last of which are very narrow
+        at = np.minimum(np.abs(middle), (1.0 - _BELOW) * xi)
     return _density(births, x, middle) / np.maximum(law.sf(at * law.scale), 1e-300)
 
 

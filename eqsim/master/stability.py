@@ -471,6 +471,9 @@ def _steepest_falls(force: Array, distance: float, least: float) -> tuple[Array,
     where the steepest of all begins."""
     h = distance / (force.size - 1)
     first = math.ceil(least / h * (1.0 - 1e-9))
+    if first >= force.size:  # the force is level from its end on
+        level, highest = float(force[-1]), int(np.argmax(force))
+        return np.full(2, (float(force[highest]) - level) / least), h * highest
     last = min(2 * first, force.size - 1)
     shifts = np.append(first + 1, np.linspace(first, last, _CHORDS)).astype(int)
     slopes = [(force[:-n] - force[n:]) / (n * h) for n in np.unique(shifts)]

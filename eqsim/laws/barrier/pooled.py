@@ -62,6 +62,8 @@ _BY_TRAPEZOID = 200
 _LARGEST_N = 60.0
 _TRAPEZOID_STEP = 0.085
 _FINER_TRAPEZOID = 0.06
+# The largest rise of ln h with the threshold, as exp(30^2) is more than a number holds.
+_STEEPEST = 60.0
 # The left end in u, where the gap between threshold and stretch is negligible.
 _LEFT_END = -3.7
 
@@ -136,14 +138,19 @@ def _trapezoid(
     which converges exponentially: gap is the distance over which the rate of attempts
     or the law falls. Thirty times faster than panels."""
     n, rms = law.n, law.rms / law.scale
-    far = math.cbrt(rms / b) if stiffness == "sqrt" else 1.0 / math.sqrt(b)
-    origin = np.maximum(y, 1e-3 * min(far, 1.0))
+    wide = math.cbrt(rms / b) if stiffness == "sqrt" else 1.0 / math.sqrt(b)
+    origin = np.maximum(y, 1e-3 * min(wide, 1.0))
     a = np.maximum(b * relative_stiffness(stiffness, origin, rms), 1e-300)
     gap = barrier.width(1.0, origin, a)
     if not barrier.by_force:
-        gap = np.minimum(gap, far)
+        gap = np.minimum(gap, wide)
     gap = (1.0 / (1.0 / gap + 2.0 * y + 1.0))[:, None]
-    u = np.arange(_LEFT_END, math.log(50.0 + 6.0 * n), step / math.sqrt(1.0 + 0.25 * n))
+    far, steep = 50.0 + 6.0 * n, 0.0
+    if barrier.by_force and stiffness == "sqrt":  # exp(steep xi) times a normal tail
+        steep = min(b * float(y.max()) / rms, _STEEPEST)
+        far += (0.5 * steep + 10.0) / float(gap.min())
+    step /= math.sqrt(1.0 + 0.25 * n + (0.1 * steep) ** 2)
+    u = np.arange(_LEFT_END, math.log(far), step)
     beyond, y = gap * np.exp(u - np.exp(-u)), y[:, None]
     xi = y + beyond
     a = b * relative_stiffness(stiffness, xi, rms)
@@ -257,6 +264,7 @@ def pooled_hazard(
     toward = 2.0 ** -np.arange(0.0, 46.0, 0.125)
     linear = 1e-2 * min(1.0, 1.0 / b)  # G is nearly proportional to y up to here
     first = min([1e-14, *_steep(law)[:1]]) if low == 0 else 1e-14
+    first = min(first, 0.1 * linear)
     nodes = [np.geomspace(first, linear, 200), np.linspace(0.0, top, 1500)]
     # further nodes where the rate is not constant near 0
     nodes.append(4.0 ** np.arange(math.log(first, 4.0), math.log(1e-14, 4.0), 0.125))
