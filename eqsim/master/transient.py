@@ -53,6 +53,8 @@ _CELL_PER_THRESHOLD = 0.02
 _LEAST_CELLS = 500
 # Most cells of the coarser grid.
 _MOST_CELLS = 10_000
+# What falls late over all, below which that is rounding.
+_ROUNDED = 1e-11
 # Most cells where contacts stay in step.
 _FINEST = 160_000
 # Factor from one number of cells that is tried to the next.
@@ -319,6 +321,7 @@ def _in_place(falling: Array, means: Array) -> Array:
     evenly over each, falls where it does in the mean: what falls late in one is in part
     counted in the next. `means` are those of the values over cells."""
     late = means - 0.5 * (falling[:-1] + falling[1:])
+    late[np.abs(late) < _ROUNDED * np.abs(falling[0])] = 0.0
     falling = falling.copy()
     falling[1:] += np.maximum(late, 0.0)
     falling[1:-1] += np.minimum(late[1:], 0.0)

@@ -111,7 +111,7 @@ def drawn(kind, seed):
         delays == "exponential",
         float(rng.uniform(0.0, 1.0)) * bool(rng.random() < 0.3),
     )
-    distance, finer = on_lattice(rng.uniform(2.0, 8.0)), 2 if warm else 16
+    distance, finer = on_lattice(rng.uniform(2.0, 8.0)), 4 if warm else 16
     if kind == "narrow":
         width = np.sqrt(law.rms**2 - law.mean**2)
         finer = max(finer, int(2.0 ** np.ceil(np.log2(20.0 * LATTICE / width))))
