@@ -265,6 +265,19 @@ def _avalanches_in_units(
     return columns
 
 
+def _unmet(
+    mean: dict[str, Array], stiffness: float, contacts: int, replicas: int
+) -> dict[str, Array]:
+    """What a contact that breaks in none of so many replicas would change in their
+    means: the force of a typical one, and what the slider moves then; and two pinned
+    contacts (`scatter.pinned_variance`)."""
+    of_one = np.sqrt(mean["variance"] * contacts + mean["friction"] ** 2)
+    force = of_one / (contacts * replicas)
+    held = np.maximum(stiffness + mean["pinned"], 1.0 / contacts)
+    pinned = np.full_like(force, 2.0 / (contacts * replicas))
+    return {"X": force / held, "friction": force, "pinned": pinned}
+
+
 def pulled_columns(
     ensemble: Ensemble,
     programme: Programme,
@@ -296,6 +309,11 @@ def pulled_columns(
             std["X"] = holding.std(axis=0, ddof=1).filled(math.nan)
             errors["X"] = std["X"] / np.sqrt(np.maximum(holding.count(axis=0), 1))
         errors["friction"] = np.sqrt(std["friction"] ** 2 / replicas)
+        # as a sample does not tell what one contact does that none of the replicas had
+        unmet = _unmet(mean, pull.stiffness, ensemble.count, replicas)
+        errors = {name: np.hypot(errors[name], unmet[name]) for name in errors}
+        if not delayed:
+            errors["pinned"] = std["pinned"] / math.sqrt(replicas)
         X_std, force_std = std["X"] * unit, std["friction"] * unit
         X_replicas, force_replicas = every["X"] * unit, every["friction"] * unit
     scatter = errors["friction"]

@@ -119,8 +119,8 @@ class _Blocks(NamedTuple):
             sums[0] = total(edges)
         periods = first
         while len(sums) <= _DOUBLINGS and (periods < _MOST_PERIODS or len(sums) < 3):
-            edges = quarter * np.arange(4 * periods, 8 * periods + 1)
-            sums.append(sums[-1] + total(edges))
+            whole = quarter * np.arange(4 * periods, 8 * periods + 1)
+            sums.append(sums[-1] + total(whole))
             periods *= 2
         table = before = np.array(sums)
         for order in range(1, len(sums)):

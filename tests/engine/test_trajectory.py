@@ -577,3 +577,21 @@ def test_laws_too_broad_to_add_up():
     run = trajectory(uniform, Drive(1.0, 5.0, "stationary"), points=5)
     # <xi^2>/2<xi>; 9 errors, as <xi^4> is infinite
     assert abs(z_score(run.averages.friction, 5 / 6)) < 9
+
+
+@pytest.mark.parametrize("log_rate", [50.0, 60.0])
+def test_stationary_starts_of_contacts_that_heat_breaks_at_once(log_rate):
+    """Contacts that live a part in 1e20 of a threshold, and are detached as long: |z| <
+    4.5 (false alarm 3e-5 in all). A share exp(-50) of the whole threshold was added."""
+    life = math.exp(-log_rate)
+    hot = Ensemble(
+        Gamma(1.0),
+        Thermal(kT=1e3, attempt_frequency=1.0 / life),
+        delay=Delay(life),
+        stiffness_law="uniform",
+        count=20_000,
+    )
+    drive = Drive(1.0, distance=0.01 * life, start="stationary")
+    found = trajectory(hot, drive, points=3, replicas=4)
+    exact = reference(hot, drive).pinned.value
+    assert np.all(np.abs(found.pinned - exact) < 4.5 * found.pinned_stderr)

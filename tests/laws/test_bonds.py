@@ -37,6 +37,7 @@ from eqsim import (
     Segment,
     Stage,
     Thermal,
+    Uniform,
     Weibull,
     reference,
     steady,
@@ -594,3 +595,34 @@ def test_bonds_whose_off_rates_have_no_mean(law):
             solve(annealed_bonds(law), Drive(1.0))
     alike = dataclasses.replace(annealed_bonds(law), stiffness_law="uniform")
     assert reference(alike, Drive(1.0)).friction.stderr < 1e-6
+
+
+def test_steep_off_rates_of_gamma_laws():
+    """h(y) = int_y^inf 2 xi exp(c xi - xi^2) dxi = exp(c^2/4) [exp(-(y - c/2)^2) + c/2
+    sqrt(pi) erfc(y - c/2)], thresholds around c/2 being the most."""
+    law = Gamma(0.0)
+    heat = Thermal(barrier="bell", off_rate=1e-99, force_scale=0.05)
+    bonds = Ensemble(law, heat, stiffness_law="sqrt", disorder="annealed")
+    s = reduced(bonds, 1.0)
+    for y in (0.1, 0.5, 1.0, 1.2):
+        c = y / 0.05
+        left = y - 0.5 * c
+        exact = 0.25 * c**2 + math.log(
+            math.exp(-(left**2)) + 0.5 * c * math.sqrt(math.pi) * math.erfc(left)
+        )
+        found = pooled_rate(law, "sqrt", s.barrier, s.barrier.b, np.array([y]))
+        assert math.log(found[0]) == pytest.approx(exact, rel=0, abs=1e-8)
+
+
+def test_annealed_catch_bonds_that_any_force_holds():
+    """Catch forces of 1e-14: tables began there. |z| < 4.5 (false alarm 1e-5)."""
+    heat = Thermal(
+        barrier="catch-slip", catch=Pathway(1e14, 1e-14), slip=Pathway(1e-3, 0.5)
+    )
+    bonds = Ensemble(
+        Uniform(0.5, 1.5), heat, stiffness_law="uniform", disorder="annealed"
+    )
+    exact = reference(bonds, Drive(1.0)).travel
+    found = steady(bonds, Drive(1.0), rel_error=1e-3).travel
+    off = abs(found.value - exact.value)
+    assert off < 4.5 * math.hypot(found.stderr, exact.stderr)

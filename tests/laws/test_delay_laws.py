@@ -401,3 +401,17 @@ def test_fits_of_steady_averages_refuse_what_has_no_effect(tmp_path):
     path.write_text(text.format(key="activation", low=0.02, high=0.6), encoding="utf-8")
     (found,) = fit(path).values.values()
     assert found == pytest.approx(0.15, rel=1e-4, abs=0)
+
+
+@pytest.mark.parametrize("sigma", [0.5, 1.0, 1.4, 2.0])
+def test_transform_of_lognormal_delays_at_complex_rates(sigma):
+    """1 - E[exp(-p delay)] by the trapezoidal rule in ln(delay), which is exact to
+    rounding where exp(-p delay) is resolved."""
+    step = 2.0**-14
+    z = np.arange(-12.0, 13.0, step)
+    share = np.exp(-0.5 * z**2) * step / math.sqrt(2.0 * math.pi)
+    delays = np.exp(sigma * (z - 0.5 * sigma))
+    for p in (1e-5, 0.3, 1e-4j, 0.1j, 0.2 + 0.9j):
+        exact = -(share @ np.expm1(-p * delays))
+        found = LognormalDelay(1.0, sigma).forgotten(np.array([p]))[0]
+        assert abs(found - exact) < 1e-10 * abs(exact)

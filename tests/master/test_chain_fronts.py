@@ -150,3 +150,38 @@ def test_fronts_of_blocks_followed_in_time(contacts, row):
 def test_what_is_refused_is_named(call, said):
     with pytest.raises(InputError, match=said):
         call()
+
+
+@pytest.mark.parametrize(
+    ("speed", "coupling", "chain", "contacts", "exact"),
+    [
+        (80.58, 75.6, (0.0, 0.636, 0.0022), "detached", 0.97464195827142),
+        (30.0, 1.0, (0.0, 1.0, 0.01), "detached", 0.99942715692565),
+        (3000.0, 1.0, (0.0, 1.0, 0.0), "reattached", 0.99999994443212),
+        (30.0, 1.0, (1e-4, 1.0, 0.0), "reattached", 0.99944012803045),
+        (30.0, 1.0, (1e-6, 1.0, 0.0), "reattached", 0.99943390492873),
+        (3.0, 1.0, (1e-4, 1.0, 0.1), "detached", 0.94164566313220),
+        (3.0, 1.0, (1e-4, 1.0, 0.0), "rigid", 0.72463146277800),
+    ],
+)
+def test_fast_fronts_of_heavily_damped_blocks(speed, coupling, chain, contacts, exact):
+    """Against panels of a 32nd of a period up to 16 384 periods, and logarithmic ones
+    below the first: damping outweighs springs far below a period, and inertia damping
+    far beyond."""
+    mass, damping, drive_stiffness = chain
+    found = front_prestress(
+        speed,
+        coupling,
+        mass=mass,
+        damping=damping,
+        drive_stiffness=drive_stiffness,
+        contacts=contacts,
+    )
+    assert abs(found.value - exact) <= found.stderr + 1e-13
+    assert found.stderr < 1e-6
+
+
+def test_a_front_that_is_all_but_trapped_has_an_error():
+    found = front_prestress(2.9145698283218537e-4, 1.0, damping=1.0)
+    assert 0.0 < found.stderr < 0.01
+    assert abs(found.value - trapping_prestress(1.0)) < 2.0 * found.stderr

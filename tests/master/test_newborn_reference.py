@@ -27,6 +27,8 @@ from eqsim import (
     Table,
     Thermal,
     reference,
+    steady,
+    z_score,
 )
 from eqsim.laws.newborn import Newborn
 from eqsim.master.closure import closure
@@ -836,3 +838,25 @@ def test_refused():
         with pytest.raises(InputError, match=f"^{line}") as caught:
             refused()
         assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("law", "newborn"),
+    [
+        (Delta(1.0), Newborn("exponential", mean=0.04)),
+        (Table([0.8, 1.0, 1.3]), Newborn("normal", mean=0.5, std=0.08)),
+    ],
+    ids=["exponential", "normal"],
+)
+def test_births_right_below_a_discrete_threshold(law, newborn):
+    """Heat that breaks contacts in layers of 1e-15 of a threshold: as simulated, |z| <
+    4.5 (false alarm 3e-5 in all). Births within a rounding of it were taken for births
+    of 1e300 contacts."""
+    heat = Thermal(kT=1.0 / 72.0, attempt_frequency=math.exp(36.0))
+    contacts = Ensemble(law, heat, stiffness_law="uniform", newborn=newborn)
+    exact = reference(contacts, Drive(1.0))
+    found = steady(contacts, Drive(1.0), rel_error=1e-4)
+    for name in ("travel", "friction"):
+        value = getattr(exact, name)
+        assert value.stderr < 1e-9
+        assert abs(z_score(getattr(found, name), value.value)) < 4.5

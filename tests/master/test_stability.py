@@ -786,3 +786,12 @@ def test_command(tmp_path):
         code, out, error = command("stability", tmp_path / "run.toml", "--set", change)
         assert (code, out, error.count("\n")) == (2, "", 1)
         assert said in error
+
+
+@pytest.mark.parametrize("log_rate", [5.0, 60.0])
+def test_heat_that_breaks_contacts_long_before_a_slip(log_rate):
+    """The force of a fresh start is level within less than a slip, and does not fall."""
+    hot = Ensemble(Gamma(1.0), Thermal(kT=2.0, attempt_frequency=math.exp(log_rate)))
+    found = stability(hot, pulled(0.1, damping=0.0, velocity=1.0), critical=False)
+    assert found.fresh.slip_stiffness.value == pytest.approx(0.0, abs=1e-9)
+    assert not found.fresh_slips
