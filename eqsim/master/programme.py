@@ -30,13 +30,14 @@ from scipy import integrate, special
 from scipy.interpolate import Akima1DInterpolator
 
 from eqsim.errors import InputError
-from eqsim.estimate import Estimate
+from eqsim.estimate import Estimate, known
 from eqsim.laws.aging import Unaged
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.barrier import Mechanical
 from eqsim.laws.delay import Fixed
 from eqsim.laws.no_thresholds import NoThresholds, has_jumps
 from eqsim.laws.threshold import NO_STEPS, ThresholdLaw
+from eqsim.laws.viscosity import Viscosity
 from eqsim.master.annealed import successful_attempts
 from eqsim.master.cohorts import (
     NO_CHOICES,
@@ -52,6 +53,7 @@ from eqsim.master.fronts import Fronts, Strata, table_of_w
 from eqsim.master.idle import IDLE, means_missed, shift_by_heat
 from eqsim.master.quenched import different_steps, kappa_of
 from eqsim.master.sharp import Corners, Sharp, levels_of, sharp_instants
+from eqsim.master.steady import reference
 from eqsim.model.drive import Drive, Grid, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Reduced, drag_of, legs, reduced
@@ -598,6 +600,8 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
     jumps = np.searchsorted(edges, kinks) if has_jumps(contacts.law) else None
     grids = [np.array(history[:3]) for history in solved]
     best, errors = _extrapolated_means(edges, grids, jumps)
+    if course.before:
+        errors += _missed_at_first(ensemble, programme, best[:, 0])[:, None]
     # the variance is interpolated: it is nearer to linear than the mean square
     best[2] -= best[0] ** 2
     values, breaks = np.zeros((3, t.size)), np.zeros(t.size)
@@ -631,6 +635,17 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
     moving = [drag_of(ensemble, g.pace) * g.sign for g in legs(ensemble, programme)]
     drag = np.array(moving)[grid.segment]
     return with_drag(grid, values, missed, drag, 0.0, unit, breaks / time)
+
+
+def _missed_at_first(ensemble: Ensemble, programme: Programme, first: Array) -> Array:
+    """What the means at the beginning, force without drag, pinned share and mean square,
+    miss of the stationary state before: much where lives are far shorter than steps."""
+    bare = replace(ensemble, eta=0.0, viscosity=Viscosity())
+    exact = reference(bare, Drive(abs(programme.velocity or 0.0)))
+    force = abs(abs(first[0]) - known(exact.friction) / ensemble.thresholds.scale)
+    pinned = abs(first[1] - known(exact.pinned))
+    square = 2.0 * first[2] * force / max(abs(first[0]), 1e-300)
+    return np.array([force, pinned, square])
 
 
 def _extrapolated_means(
