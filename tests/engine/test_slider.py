@@ -35,6 +35,7 @@ from eqsim.engine.lanes import (
     draw_lives,
     idle_lanes,
 )
+from eqsim.engine.records import Slip, _mean_over
 from eqsim.laws.aging.base import Held, spend
 from eqsim.master import slider
 from eqsim.master.avalanche_sizes import load_of, missed_by_few, size_law
@@ -692,3 +693,23 @@ def test_few_replicas_of_few_contacts_have_errors():
                 off = np.abs(getattr(found, name) - getattr(known, name))[1:]
                 assert np.all(error[1:] > 0.0)
                 assert np.all(off < 4.5 * error[1:])
+
+
+def test_periods_of_short_records():
+    """Renewals of unit mean and standard deviation 0.5 in 100 records that last for six:
+    whole intervals are 7 % shorter, which the error includes: rms z below 1.5 (20
+    samples). Without that it is 3."""
+    rng, z = np.random.default_rng(3), []
+    for _ in range(20):
+        slips = []
+        for replica in range(100):
+            times = np.cumsum(rng.gamma(4.0, 0.25, 40))
+            slips += [
+                Slip(t, 0.0, 1.0, 0.0, 1.0, replica, True, True)
+                for t in times[times < 6.0].tolist()
+            ]
+        found = _mean_over(
+            slips, lambda s: [b.t - a.t for a, b in itertools.pairwise(s)]
+        )
+        z.append((found.value - 1.0) / found.stderr)
+    assert math.sqrt(np.mean(np.square(z))) < 1.5
