@@ -145,7 +145,8 @@ class Squares(NamedTuple):
 
 class Proposal(NamedTuple):
     """Densities from which thresholds (e = -ln J_c(xi)) and clocks are drawn. `covered`
-    is False if thresholds rarer than e = 500 would still contribute to means. `squares`
+    is False if thresholds rarer than e = 500, or clocks beyond 40, would still contribute
+    to means. `squares`
     says where mean squares come from."""
 
     threshold: Density
@@ -213,6 +214,8 @@ class Proposal(NamedTuple):
             means = [(size**2 / over) @ square for square, size in pairs]
             parts = [clock_births * np.sqrt(mean) for mean in means]
             clock_density = mixed(log_clock, np.sqrt(clock_births), *parts)
+            for part in parts:
+                covered &= bool(part[-1] <= _NEGLIGIBLE_DENSITY * part.max())
         # below the grid nothing happens but short lives
         low = np.linspace(-53 * math.log(2), log_clock[0], 100)[:-1]
         rise = math.log(clock_density[1] / clock_density[0])

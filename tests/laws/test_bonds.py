@@ -626,3 +626,20 @@ def test_annealed_catch_bonds_that_any_force_holds():
     found = steady(bonds, Drive(1.0), rel_error=1e-3).travel
     off = abs(found.value - exact.value)
     assert off < 4.5 * math.hypot(found.stderr, exact.stderr)
+
+
+@pytest.mark.parametrize(("most", "known"), [(5.0, True), (45.0, False)])
+def test_catch_bonds_that_few_outlive(most, known):
+    """A hazard of at most 45, which a share exp(-45) outlives up to a threshold 1e23
+    times as long: such clocks are not drawn, and averages say so."""
+    force = 1e-3 if known else 1e-21
+    heat = Thermal(
+        barrier="catch-slip",
+        catch=Pathway(most / force, force),
+        slip=Pathway(0.0, 1.0),
+    )
+    bonds = Ensemble(Delta(1.0), heat, stiffness_law="uniform")
+    exact = reference(bonds, Drive(1.0)).friction.value
+    found = steady(bonds, Drive(1.0), rel_error=1e-3).friction
+    assert found.reliable is known
+    assert (abs(found.value - exact) < 4.5 * found.stderr) is known
