@@ -186,6 +186,8 @@ def lives_of(contacts: Reduced, xi: Array, share: Array, panels: int) -> Lives:
             broken = np.minimum(barrier.stretch_at(levels[-1:], grown, a)[:, 0], last)
             grown = xi * aging.growth_at(broken)
         inner = barrier.stretch_at(levels, grown, a)
+        layers = np.minimum(barrier.layers(grown, a), inner[:, -1:])
+        inner = np.concatenate((layers, inner), axis=1)
     gone = last if inner.shape[1] == 0 else np.minimum(last, inner[:, -1])
     even = gone[:, None] * np.linspace(0.0, 1.0, panels + 1)
     edges = np.sort(np.append(even, np.clip(inner, 0.0, gone[:, None]), axis=1), axis=1)

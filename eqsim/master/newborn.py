@@ -202,7 +202,9 @@ def hazard_of(contacts: Reduced) -> Hazard:
         most = barrier.log_w + 4.0
         if barrier.log_w < 5.0:
             most = float(np.log(barrier.whole_hazard(xi, kappa)).max())
-        return barrier.stretch_at(_spent_levels(most) + shift, xi, barrier.b * kappa)
+        a = barrier.b * kappa
+        reached = barrier.stretch_at(_spent_levels(most) + shift, xi, a)
+        return np.concatenate((reached, barrier.layers(xi, a)), axis=1)
 
     def layer(xi: Array) -> Array:
         xi = xi[:, None]

@@ -643,3 +643,30 @@ def test_catch_bonds_that_few_outlive(most, known):
     found = steady(bonds, Drive(1.0), rel_error=1e-3).friction
     assert found.reliable is known
     assert (abs(found.value - exact) < 4.5 * found.stderr) is known
+
+
+@pytest.mark.parametrize("disorder", ["quenched", "annealed"])
+@pytest.mark.parametrize(("most", "force"), [(5.0, 1e-3), (5.0, 1e-2), (1.0, 1e-3)])
+def test_catch_bonds_that_little_force_holds(most, force, disorder):
+    """C = int_0^1 S dx and W = int_0^1 x S dx with S = exp(-H), H = k_c f_c (1 -
+    exp(-x/f_c)) + k_s f_s (exp(x/f_s) - 1), by adaptive quadrature: a part in 1e-11.
+    Panels between levels of H alone miss 2e-4 of them, where H hardly rises."""
+    slip = Pathway(0.1, 0.3)
+    heat = Thermal(barrier="catch-slip", catch=Pathway(most / force, force), slip=slip)
+    bonds = Ensemble(Delta(1.0), heat, stiffness_law="uniform", disorder=disorder)
+
+    def alive(x):
+        opened = slip.rate * slip.force * math.expm1(x / slip.force)
+        return math.exp(most * math.expm1(-x / force) - opened)
+
+    edges = [0.0, *np.geomspace(1e-7, 1.0, 100).tolist()]
+    travel, work = (
+        sum(
+            integrate.quad(lambda x, n=n: x**n * alive(x), low, high, epsrel=1e-12)[0]
+            for low, high in itertools.pairwise(edges)
+        )
+        for n in (0, 1)
+    )
+    found = reference(bonds, Drive(1.0))
+    assert found.travel.value == pytest.approx(travel, rel=2e-11, abs=0)
+    assert found.friction.value == pytest.approx(work / travel, rel=4e-11, abs=0)

@@ -190,6 +190,11 @@ class Barrier(Law):
 
         return np.asarray(xi * np.exp(bisected(below, low, np.zeros_like(low), 20)[1]))
 
+    def layers(self, xi: Array, a: Array) -> Array:
+        """Stretches on the scale of which the rate falls as the stretch grows, shape (n,
+        layers), for n contacts: none but for catch bonds."""
+        return np.empty((xi.size, 0))
+
     @classmethod
     def table(cls) -> Array:
         """Table for the routine `stretch`, empty if it needs none."""

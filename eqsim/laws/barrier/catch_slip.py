@@ -19,6 +19,9 @@ from eqsim.laws.barrier.bell import MOST, ByForce, fallen, log_mean
 from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 
+# Stretches times k_i/f_c up to which the rate of the catch pathway falls.
+_FALLING = 2.0 ** np.arange(-3.0, 6.0)
+
 
 class _Numbers(NamedTuple):
     b: float
@@ -60,6 +63,11 @@ class CatchSlip(_Numbers, ByForce):
         catch = self.log_catch + log_mean(-self.catch * a * x)
         with np.errstate(divide="ignore"):  # x = 0
             return np.log(x) + np.logaddexp(slip, catch) + 0.0 * xi
+
+    def layers(self, xi: Array, a: Array) -> Array:
+        with np.errstate(divide="ignore"):  # no catch
+            scale = 1.0 / (self.catch * a)
+        return np.minimum(scale[:, None] * _FALLING, xi[:, None])
 
 
 @base.height.register(CatchSlip)

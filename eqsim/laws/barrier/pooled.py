@@ -263,11 +263,11 @@ def pooled_hazard(
     # the ends of the support are approached from both sides
     toward = 2.0 ** -np.arange(0.0, 46.0, 0.125)
     linear = 1e-2 * min(1.0, 1.0 / b)  # G is nearly proportional to y up to here
-    first = min([1e-14, *_steep(law)[:1]]) if low == 0 else 1e-14
-    first = min(first, 0.1 * linear)
+    steep = min([1e-14, *_steep(law)[:1]]) if low == 0 else 1e-14
+    first = min(steep, 0.1 * linear)
     nodes = [np.geomspace(first, linear, 200), np.linspace(0.0, top, 1500)]
     # further nodes where the rate is not constant near 0
-    nodes.append(4.0 ** np.arange(math.log(first, 4.0), math.log(1e-14, 4.0), 0.125))
+    nodes.append(4.0 ** np.arange(math.log(steep, 4.0), math.log(1e-14, 4.0), 0.125))
     nodes.append(np.geomspace(linear, top, math.ceil(math.log(top / linear) / 0.01)))
     if low > 0:
         # below the support the rate falls off as exp(-b (low^2 - y^2)): resolve its
