@@ -186,10 +186,8 @@ def fronts_of(broke: dict[str, Array]) -> dict[str, Array]:
 
     A front runs to the left or to the right of the block that breaks first in an event,
     through neighbours, at least 5. Its speed is that of the straight line through the
-    times at which they break, its error that of the fit, or of waits that add up from
-    block to block if that is larger: a slope through n steps of a random walk has the
-    variance 6/(5 n) of a step. Where the slope is not above two of the fit's errors,
-    there is no front.
+    times at which they break, its error that of the fit, as if these were off
+    independently; where the slope is not above two of its errors, there is no front.
 
     Columns: `event`, `block` where it begins, `t` when the line leaves it, how many `blocks` it breaks,
     `direction` (1 or -1), `speed` and `speed_stderr` (blocks/time), and the `replica`.
@@ -217,9 +215,7 @@ def fronts_of(broke: dict[str, Array]) -> dict[str, Array]:
             speed = 1.0 / line.slope
             begin = float(line.intercept)
             where = int(broke["event"][here[0]]), begin, start, times.size, direction
-            waits = np.diff(times)  # which add up along a front (derived)
-            of_walk = math.sqrt(1.2 / waits.size) * float(np.std(waits, ddof=1))
-            error = max(line.stderr, of_walk) * speed**2
+            error = line.stderr * speed**2
             rows.append((*where, speed, error, int(broke["replica"][here[0]])))
     found = np.array(rows, FRONT)
     return {name: found[name].copy() for name in FRONT.names or ()}
