@@ -311,7 +311,7 @@ def pulled_columns(
         errors["friction"] = np.sqrt(std["friction"] ** 2 / replicas)
         # as a sample does not tell what one contact does that none of the replicas had
         unmet = _unmet(mean, pull.stiffness, ensemble.count, replicas)
-        errors = {name: np.hypot(errors[name], unmet[name]) for name in errors}
+        errors = {name: np.maximum(errors[name], unmet[name]) for name in errors}
         if not delayed:
             errors["pinned"] = std["pinned"] / math.sqrt(replicas)
         X_std, force_std = std["X"] * unit, std["friction"] * unit
