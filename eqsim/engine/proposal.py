@@ -146,8 +146,7 @@ class Squares(NamedTuple):
 class Proposal(NamedTuple):
     """Densities from which thresholds (e = -ln J_c(xi)) and clocks are drawn. `covered`
     is False if thresholds rarer than e = 500, or clocks beyond 40, would still contribute
-    to means. `squares`
-    says where mean squares come from."""
+    to means. `squares` says where mean squares come from."""
 
     threshold: Density
     clock: Density

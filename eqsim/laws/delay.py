@@ -231,13 +231,13 @@ class LognormalDelay(_Drawn, _Shaped, Law):
     def forgotten(self, p: Array) -> Array:
         """Transform by the trapezoidal rule, along a line of complex ln(delay) through the saddle
         point, which is Lambert's function W (Asmussen, Jensen and Rojas-Nandayapa,
-        Methodol. Comput. Appl. Probab. 18, 441, 2016); near p = 0 along the real
-        line."""
+        Methodol. Comput. Appl. Probab. 18, 441, 2016); near p = 0 along the real line;
+        and of broad laws along one on which p times the delay is real."""
         sigma, u = self.shape, np.asarray(p * self.mean, complex)
         weights = np.exp(-0.5 * _NODES**2)
         weights /= weights.sum()
         if sigma >= _BROAD:
-            # along the line on which u times a delay is real, where nothing oscillates
+            # nothing oscillates there
             off, total = np.angle(u) / sigma, np.zeros_like(u)
             for s in _BROAD_NODES:
                 share = np.exp(-0.5 * (s - 1j * off) ** 2) / math.sqrt(2.0 * math.pi)
