@@ -266,15 +266,19 @@ def _avalanches_in_units(
 
 
 def _unmet(
-    mean: dict[str, Array], stiffness: float, contacts: int, replicas: int
+    mean: dict[str, Array],
+    stiffness: float,
+    contacts: int,
+    replicas: int,
+    delayed: bool,
 ) -> dict[str, Array]:
-    """What a contact that breaks in none of so many replicas would change in their
-    means: the force of a typical one, and what the slider moves then; and two pinned
-    contacts (`scatter.pinned_variance`)."""
+    """Changes of the means of replicas by a contact that breaks in none of them: the
+    force of a typical one, what the slider moves then, and the pinned share that a
+    sample does not tell."""
     of_one = np.sqrt(mean["variance"] * contacts + mean["friction"] ** 2)
     force = of_one / (contacts * replicas)
     held = np.maximum(stiffness + mean["pinned"], 1.0 / contacts)
-    pinned = np.full_like(force, 2.0 / (contacts * replicas))
+    pinned = np.sqrt(pinned_variance(0.0 * force, contacts * replicas, delayed))
     return {"X": force / held, "friction": force, "pinned": pinned}
 
 
@@ -310,10 +314,8 @@ def pulled_columns(
             errors["X"] = std["X"] / np.sqrt(np.maximum(holding.count(axis=0), 1))
         errors["friction"] = np.sqrt(std["friction"] ** 2 / replicas)
         # as a sample does not tell what one contact does that none of the replicas had
-        unmet = _unmet(mean, pull.stiffness, ensemble.count, replicas)
+        unmet = _unmet(mean, pull.stiffness, ensemble.count, replicas, delayed)
         errors = {name: np.maximum(errors[name], unmet[name]) for name in errors}
-        if not delayed:
-            errors["pinned"] = std["pinned"] / math.sqrt(replicas)
         X_std, force_std = std["X"] * unit, std["friction"] * unit
         X_replicas, force_replicas = every["X"] * unit, every["friction"] * unit
     scatter = errors["friction"]

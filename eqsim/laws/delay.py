@@ -23,6 +23,7 @@ from eqsim.errors import (
 )
 from eqsim.laws.law import Law
 from eqsim.numerics.compiled import by_law, routine
+from eqsim.numerics.quadrature import gamma_quantile
 from eqsim.numerics.tables import Array, look_up, octave_edges, octave_table, search
 from eqsim.numerics.vector_math import log
 
@@ -192,9 +193,7 @@ class GammaDelay(_Drawn, _Shaped, Law):
         return np.asarray(special.gammainc(k + 1.0, k * u) + u * self.above(u))
 
     def exceeded(self, e: Array) -> Array:
-        k = self.shape
-        low = special.gammaincinv(k, -np.expm1(-e))
-        return np.where(e < 0.7, low, special.gammainccinv(k, np.exp(-e))) / k
+        return gamma_quantile(self.shape, e) / self.shape
 
     def forgotten(self, p: Array) -> Array:
         k = self.shape
@@ -234,8 +233,6 @@ class LognormalDelay(_Drawn, _Shaped, Law):
         Methodol. Comput. Appl. Probab. 18, 441, 2016); near p = 0 along the real line;
         and of broad laws along one on which p times the delay is real."""
         sigma, u = self.shape, np.asarray(p * self.mean, complex)
-        weights = np.exp(-0.5 * _NODES**2)
-        weights /= weights.sum()
         if sigma >= _BROAD:
             # nothing oscillates there
             off, total = np.angle(u) / sigma, np.zeros_like(u)
@@ -245,6 +242,8 @@ class LognormalDelay(_Drawn, _Shaped, Law):
                     -np.abs(u) * np.exp(sigma * (s - 0.5 * sigma))
                 )
             return total * (_BROAD_NODES[1] - _BROAD_NODES[0])
+        weights = np.exp(-0.5 * _NODES**2)
+        weights /= weights.sum()
         w = special.lambertw(u * math.exp(-0.5 * sigma**2) * sigma**2)
         near, far = np.zeros_like(u), np.zeros_like(u)
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):

@@ -21,7 +21,7 @@ from scipy import special
 from eqsim.errors import POSITIVE, InputError, require_number
 from eqsim.laws.kinks import density_kinks
 from eqsim.numerics.compiled import routine
-from eqsim.numerics.quadrature import gauss_legendre
+from eqsim.numerics.quadrature import gamma_quantile, gauss_legendre
 from eqsim.numerics.roots import bisected
 from eqsim.numerics.tables import (
     NO_TABLE,
@@ -196,11 +196,7 @@ class Gamma(Continuous):
         return np.asarray(special.gammaincc(self.n + 1.0, squares))
 
     def inverse_survival(self, e: Any) -> Array:
-        e = np.asarray(e, float)
-        squares, low = np.empty_like(e), e < 0.7  # either inverse takes long
-        squares[low] = special.gammaincinv(self.n + 1.0, -np.expm1(-e[low]))
-        squares[~low] = special.gammainccinv(self.n + 1.0, np.exp(-e[~low]))
-        return np.asarray(self.x_star * np.sqrt(squares))
+        return np.asarray(self.x_star * np.sqrt(gamma_quantile(self.n + 1.0, e)))
 
     def table(self) -> Array:
         e = octave_edges(FIRST_OCTAVE, LAST_OCTAVE)
@@ -669,13 +665,13 @@ def means_above(
 
 # Ranks e above that of x where panels end: narrow ones next to x, then on the scale
 # of the law.
-_RANKS_ABOVE = np.array([
+RANKS_ABOVE = np.array([
     1e-6, 1e-4, 2e-3, 0.01, 0.05, 0.15, 0.4, 0.8, 1.5,
     2.5, 4.0, 6.0, 9.0, 13.0, 18.0, 25.0, 35.0, 50.0,
 ])  # fmt: skip
 # The same for what grows exponentially with the threshold, about as far apart as
 # thresholds of a normal tail.
-FAR_RANKS_ABOVE = np.append(_RANKS_ABOVE, np.arange(8.0, 22.5) ** 2)
+FAR_RANKS_ABOVE = np.append(RANKS_ABOVE, np.arange(8.0, 22.5) ** 2)
 # Where panels end next to an infinite density at an end of the support: distances from
 # it over that of the median, or of the panels' own beginning.
 _TOWARDS_INFINITE = 0.25 ** np.arange(1.0, 16.0)
@@ -685,7 +681,7 @@ def panels_above(
     law: ThresholdLaw,
     x: Array,
     layer: Array | None = None,
-    ranks: Array = _RANKS_ABOVE,
+    ranks: Array = RANKS_ABOVE,
 ) -> Array:
     """Edges of panels, shape (n, panels + 1), from x (n,) to where no threshold of a
     smooth law is left: on the scale of the law itself, at `ranks` above that of x, and

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from eqsim.errors import InputError
+from eqsim.laws.aging.base import scale2
 from eqsim.laws.barrier.pooled import pooled_rate
 from eqsim.laws.threshold import Gamma, ThresholdLaw
 from eqsim.master.quenched import (
@@ -86,9 +87,11 @@ class Ageing(NamedTuple):
     alpha: Array
     final: float
 
-    def square(self, decay: Array) -> Array:
-        """(x_*/x_*i)^2 after so many relaxations."""
-        return np.asarray(self.final**2 - (self.final**2 - 1.0) * np.exp(-decay))
+    def log_squares(self, stretch: Array, lives: Array) -> Array:
+        """ln (x_*/x_*i)^2 after so many mean lives at each velocity, given C, shape
+        (velocities, lives)."""
+        decay = (self.alpha * stretch)[:, None] * lives
+        return np.asarray(np.log(scale2(self.final**2, decay)))
 
 
 def annealed_moments(
@@ -142,8 +145,8 @@ class Mixture(NamedTuple):
         laws), also without the highest `lost` coefficients."""
         if len(self.laws) == 1:
             return np.ones((stretch.size, 1))
-        square = ageing.square((ageing.alpha * stretch)[:, None] * np.exp(_LOG_S))
-        means = _SHARE_OF_S @ self.polynomials(np.log(square))
+        log_squares = ageing.log_squares(stretch, np.exp(_LOG_S))
+        means = _SHARE_OF_S @ self.polynomials(log_squares)
         means[:, len(self.laws) - lost :] = 0.0
         return np.asarray(means @ self.coefficients)
 
@@ -154,10 +157,9 @@ class Mixture(NamedTuple):
         those of the laws, shape (laws, ...), as `weights` means other values."""
         logs = self.coefficients @ np.log(rates.reshape(len(self.laws), -1))
         logs[len(self.laws) - lost :] = 0.0
-        square = ageing.square((ageing.alpha * stretch)[:, None] * np.exp(_LOG_S))
         found = [
-            _SHARE_OF_S @ np.exp(self.polynomials(np.log(each)) @ logs)
-            for each in square
+            _SHARE_OF_S @ np.exp(self.polynomials(each) @ logs)
+            for each in ageing.log_squares(stretch, np.exp(_LOG_S))
         ]
         return np.array(found).reshape(-1, *rates.shape[1:])
 
@@ -178,8 +180,8 @@ def _mixture(law: ThresholdLaw, ageing: Ageing, longest: Array) -> Mixture:
         return Mixture([law])
     if ageing.final == 1.0 or np.isinf(ageing.alpha).all():
         return Mixture([Gamma(law.n, law.x_star * ageing.final)])
-    grown = ageing.square(ageing.alpha * longest * _LONGEST_LIFE)
-    low, high = sorted((0.0, float(max(np.log(grown), key=abs))))
+    grown = ageing.log_squares(longest, np.array([_LONGEST_LIFE]))
+    low, high = sorted((0.0, float(max(grown[:, 0], key=abs))))
     n = math.ceil(_PER_FOLD * 0.5 * (high - low) * math.sqrt(1.0 + law.n / 2.0))
     return mixture_of(law, low, high, n + _FEWEST_NODES)
 
@@ -248,10 +250,12 @@ class _Solution:
         """Weights of the mixture's laws at each velocity, given C."""
         return self.mixture.weights(self.ageing, stretch, lost)
 
-    def mean_rates(self, rates: Array, stretch: Array, lost: int = 0) -> Array:
+    def mean_rates(
+        self, rates: Array, weights: Array, stretch: Array, lost: int = 0
+    ) -> Array:
         """Means over births of the laws' rates h, shape (laws, ...), at each velocity,
-        given C, shape (velocities, ...)."""
-        means = np.asarray(np.tensordot(self.weights(stretch, lost), rates, 1))
+        given C and the `weights` that follow, shape (velocities, ...)."""
+        means = np.asarray(np.tensordot(weights, rates, 1))
         if self.ages and self.contacts.barrier.by_force:
             # signed weights, of off-rates that differ by many orders, leave only noise
             known = (rates > _LEAST_RATE).all(axis=0)
@@ -299,8 +303,9 @@ class _Solution:
         rule, h = ClenshawCurtis, 0.5 * (panels.right - panels.left)[:, None]
         x = panels.left[:, None] + h * (1.0 + rule.nodes)
         rates, survivals = panels.values
-        rate = np.swapaxes(self.mean_rates(rates, stretch, lost), 1, 2)
-        J = np.swapaxes(np.tensordot(self.weights(stretch, lost), survivals, 1), 1, 2)
+        weights = self.weights(stretch, lost)
+        rate = np.swapaxes(self.mean_rates(rates, weights, stretch, lost), 1, 2)
+        J = np.swapaxes(np.tensordot(weights, survivals, 1), 1, 2)
         hazard = self.attempts * np.maximum(rate, 0.0) * h
         gained = np.maximum(hazard @ rule.weights, 0.0)
         before = np.cumsum(gained, axis=1) - gained
@@ -370,8 +375,10 @@ class _Solution:
         laws = self.mixture.laws
         finer = np.array([self.rate(law, middle, middle, finer=True) for law in laws])
         here = panels.values[0, :, ClenshawCurtis.nodes.size // 2]
-        of_finer, of_here = (self.mean_rates(r, self.stretch) for r in (finer, here))
-        missed = np.abs(of_finer - of_here)
+        births = self.weights(self.stretch), self.stretch
+        missed = np.abs(
+            self.mean_rates(finer, *births) - self.mean_rates(here, *births)
+        )
         missed *= self.attempts[:, 0] * (panels.right - panels.left)
         wrong = np.minimum(8.0 * missed, 1.0) * _sums_onward(of.parts)
         return np.asarray(wrong.sum(axis=2))

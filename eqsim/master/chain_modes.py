@@ -18,7 +18,14 @@ from scipy import linalg, optimize
 
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate
-from eqsim.master.characteristic import NO_VALUE, OF_COARSER, Loop, root_of, roots_from
+from eqsim.master.characteristic import (
+    NO_VALUE,
+    OF_COARSER,
+    Loop,
+    border_of,
+    root_of,
+    roots_from,
+)
 from eqsim.master.stability import NEUTRAL, pulled_by
 from eqsim.model.chain import Chain
 from eqsim.model.drive import Programme, Stage
@@ -181,7 +188,9 @@ def chain_modes(
     coupling = chain.coupling
     springs = _Links(max(K_d, _FAINT), coupling, chain.bulk_damping * rate)
     lowest = _lowest(chain, K_d)
-    border, (fine, coarse, scan) = pulled.border(rough=True)
+    border, (fine, coarse, scan) = pulled.resolved(
+        pulled.loops(), lambda each: border_of(each.coarse, each.scan)
+    )
     last = _BEYOND * math.sqrt(max(border.stiffness, springs.plate) / coupling)
     grid = np.linspace(0.0, min(last, math.pi), _WAVE_NUMBERS)
     asked = grid if wave_numbers is None else np.asarray(wave_numbers, float)

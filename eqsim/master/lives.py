@@ -129,16 +129,16 @@ class Lives(NamedTuple):
     def _answer(self, p: complex, rate: Array, faded: Array) -> Array:
         """Q of an integrand `rate`, with e^(-p age) since the panel began, both of
         shape (n, panels, nodes). In steep panels it follows by integration by parts."""
-        steep, half = np.abs(p) * self.width > _STEEP, 0.5 * self.width[..., None]
+        steep, half = np.abs(p) * self.width > _STEEP, 0.5 * self.width
         fade = np.exp(-p * self.width)
         grown = rate / np.where(steep[..., None], 1.0, faded)
-        inner = grown @ _INTEGRALS * half * faded
-        carried = grown @ gauss_legendre(_ORDER).weights * (0.5 * self.width) * fade
+        inner = grown @ _INTEGRALS * half[..., None] * faded
+        carried = grown @ gauss_legendre(_ORDER).weights * half * fade
         if steep.any():
             late, term = np.zeros_like(rate[steep]), rate[steep] / p
             for _ in range(_PARTS):
                 late += term
-                term = -term @ _SLOPES / (half[steep] * p)
+                term = -term @ _SLOPES / (half[steep, None] * p)
             first, last = (late @ _ENDS).T
             inner[steep] = late - first[:, None] * faded[steep]
             carried[steep] = last - first * fade[steep]
@@ -185,9 +185,7 @@ def lives_of(contacts: Reduced, xi: Array, share: Array, panels: int) -> Lives:
             a = barrier.b * stiffness_at(last, xi)
             broken = np.minimum(barrier.stretch_at(levels[-1:], grown, a)[:, 0], last)
             grown = xi * aging.growth_at(broken)
-        inner = barrier.stretch_at(levels, grown, a)
-        layers = np.minimum(barrier.layers(grown, a), inner[:, -1:])
-        inner = np.concatenate((layers, inner), axis=1)
+        inner = barrier.ends_of_panels(levels, grown, a)
     gone = last if inner.shape[1] == 0 else np.minimum(last, inner[:, -1])
     even = gone[:, None] * np.linspace(0.0, 1.0, panels + 1)
     edges = np.sort(np.append(even, np.clip(inner, 0.0, gone[:, None]), axis=1), axis=1)

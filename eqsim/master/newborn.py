@@ -202,9 +202,8 @@ def hazard_of(contacts: Reduced) -> Hazard:
         most = barrier.log_w + 4.0
         if barrier.log_w < 5.0:
             most = float(np.log(barrier.whole_hazard(xi, kappa)).max())
-        a = barrier.b * kappa
-        reached = barrier.stretch_at(_spent_levels(most) + shift, xi, a)
-        return np.concatenate((reached, barrier.layers(xi, a)), axis=1)
+        at = _spent_levels(most) + shift
+        return barrier.ends_of_panels(at, xi, barrier.b * kappa)
 
     def layer(xi: Array) -> Array:
         xi = xi[:, None]
@@ -338,9 +337,8 @@ def _weights_of_births(
     if contacts.newborn.of == "threshold":
         return _density(births, x / xi, middle / xi) / xi
     at = np.abs(x)
-    if (
-        law.steps.size
-    ):  # J_c jumps between panels only, the last of which are very narrow
+    if law.steps.size:
+        # J_c jumps between panels only, the last of which are very narrow
         at = np.minimum(np.abs(middle), (1.0 - _BELOW) * xi)
     return _density(births, x, middle) / np.maximum(law.sf(at * law.scale), 1e-300)
 

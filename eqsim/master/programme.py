@@ -638,8 +638,9 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
 
 
 def _missed_at_first(ensemble: Ensemble, programme: Programme, first: Array) -> Array:
-    """What the means at the beginning, force without drag, pinned share and mean square,
-    miss of the stationary state before: much where lives are far shorter than steps."""
+    """Errors of the means at the beginning, force without drag, pinned share and mean
+    square, which are those of the stationary state before: large where lives are far
+    shorter than steps."""
     bare = replace(ensemble, eta=0.0, viscosity=Viscosity())
     exact = reference(bare, Drive(abs(programme.velocity or 0.0)))
     force = abs(abs(first[0]) - known(exact.friction) / ensemble.thresholds.scale)

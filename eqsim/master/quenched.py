@@ -133,8 +133,8 @@ def life_moments(
     first, last = _FIRST_LEVEL - log_w.max(), _LAST_LEVEL - log_w.min()
     even = np.linspace(first, last, math.ceil((last - first) / _APART) + 1)
     levels = np.concatenate((_RARELY_BROKEN - log_w.max(), even))
-    at = np.concatenate((bare.stretch_at(levels, xi, a), bare.layers(xi, a)), axis=1)
-    at = np.sort(np.clip(at / xi[:, None], 0.0, 1.0), axis=1)
+    at = bare.ends_of_panels(levels, xi, a) / xi[:, None]
+    at = np.sort(np.clip(at, 0.0, 1.0), axis=1)
     start = np.zeros((xi.size, 1))
     edges = np.concatenate((start, np.arcsin(np.sqrt(at)), start + 0.5 * math.pi), 1)
     # empty panels lie between levels that a contact does not meet

@@ -11,7 +11,7 @@ aging and delay it does neither, as friction is the same for any X(t).
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -24,7 +24,6 @@ from eqsim.master import characteristic
 from eqsim.master.characteristic import (
     NO_VALUE,
     OF_COARSER,
-    Border,
     Loop,
     Mode,
     border_of,
@@ -83,6 +82,8 @@ _SURE = 2.0
 _SAME_ROOT = 0.01
 # How many times as many panels of ages as usual resolve a higher frequency.
 _FINER_AGES = 4
+
+Found = TypeVar("Found", bound=tuple[Any, complex])
 
 
 @dataclass(frozen=True, repr=False)
@@ -234,14 +235,15 @@ class SteadyPull(NamedTuple):
             *(loop_of(contacts, pull, x._replace(ages=finer * x.ages)) for x in nodes)
         )
 
-    def border(self, *, rough: bool = False) -> tuple[Border, Loops]:
-        """The border of stability of the fine nodes, or of the coarse ones, and loops
-        that resolve its frequency, if these finer ones do."""
-        loops = self.loops()
-        found = border_of(loops.coarse if rough else loops.fine, loops.scan)
-        if not loops.fine.resolves(found.frequency):
+    def resolved(
+        self, loops: Loops, find: Callable[[Loops], Found]
+    ) -> tuple[Found, Loops]:
+        """Find something, [1] of which is a frequency or a rate, with these loops, or
+        with finer ones where they do not resolve it; and the loops that were taken."""
+        found = find(loops)
+        if not loops.fine.resolves(found[1]):
             loops = self.loops(_FINER_AGES)
-            found = border_of(loops.coarse if rough else loops.fine, loops.scan)
+            found = find(loops)
         return found, loops
 
 
@@ -315,7 +317,9 @@ def critical_stiffness(pulled: SteadyPull) -> Estimate:
     InputError."""
     if pulled.method == NEUTRAL:
         return Estimate(0.0, 0.0, 0)
-    (stiffness, frequency), loops = pulled.border()
+    (stiffness, frequency), loops = pulled.resolved(
+        pulled.loops(), lambda each: border_of(each.fine, each.scan)
+    )
     if math.isinf(stiffness):
         return Estimate(math.inf, 0.0, 0)
     rough = border_of(loops.coarse, loops.scan).stiffness
@@ -352,12 +356,14 @@ def _mode(pulled: SteadyPull) -> Mode:
     """The slowest perturbation of steady sliding."""
     if pulled.method == NEUTRAL:
         return Mode(Estimate(0.0, 0.0, 0), NO_VALUE)
-    stiffness, loops = pulled.stage.stiffness, pulled.loops()
-    guesses = guesses_of(loops.scan, stiffness)
-    roots = slowest_first(loops.fine, guesses, stiffness)
-    if roots and not loops.fine.resolves(roots[0]):
-        loops = pulled.loops(_FINER_AGES)
+    stiffness, usual = pulled.stage.stiffness, pulled.loops()
+    guesses = guesses_of(usual.scan, stiffness)
+
+    def find(loops: Loops) -> tuple[list[complex], complex]:
         roots = slowest_first(loops.fine, guesses, stiffness)
+        return roots, roots[0] if roots else 0.0
+
+    (roots, _), loops = pulled.resolved(usual, find)
     rate, sure = pulled.velocity / pulled.ensemble.thresholds.scale, True
     for p in roots:
         near = roots_from(loops.coarse, np.array([p]), stiffness)

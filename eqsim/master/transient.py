@@ -529,13 +529,13 @@ def _reborn(
     def total(at: Array) -> Array:
         return np.asarray(profile.integral(at, 1)[1] + later(at))
 
-    means = np.diff(total(x)) / x[1]
     if delay == 0.0:
         return total(x), np.zeros_like(x)
     if isinstance(contacts.delay, Fixed):
         late = total(np.maximum(x - delay, 0.0))
         force = drag * np.maximum(1.0 - x / delay, 0.0) + (total(x) - late) / delay
         return drag * np.minimum(x, delay) + late, force
+    means = np.diff(total(x)) / x[1]
     if not isinstance(contacts.delay, Exponential):
         # y: fresh * P(delay > x)
         left = contacts.delay.rest(x)

@@ -1,7 +1,7 @@
 """Quadrature, with tables of nodes that are each computed once, and extrapolation."""
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage, special
@@ -44,6 +44,16 @@ def normal_exponent(z: Array) -> Array:
     return np.where(
         z < 0.0, -np.log1p(-special.ndtr(rare)), -special.log_ndtr(-np.maximum(z, 0.0))
     )
+
+
+def gamma_quantile(shape: float, e: Any) -> Array:
+    """Value that a gamma variable exceeds with probability exp(-e), without loss on
+    either side."""
+    e = np.asarray(e, float)
+    found, low = np.empty_like(e), e < 0.7  # either inverse takes long
+    found[low] = special.gammaincinv(shape, -np.expm1(-e[low]))
+    found[~low] = special.gammainccinv(shape, np.exp(-e[~low]))
+    return found
 
 
 def extrapolated(coarse: Array, fine: Array, ratio: float = 4.0) -> Array:

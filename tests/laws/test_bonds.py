@@ -519,7 +519,7 @@ def test_hazards_of_bonds_that_age_as_the_logarithm_of_time(off_rate):
     x = scale * np.linspace(0.0, 1.0, 31)[1:] * math.log(v / (off_rate * scale))
     passed = hazard_passed(settled(bonds, v), 0.0 * x, x / 0.5, np.full(x.size, 50.0))
     exact = off_rate * scale / v * np.expm1(x / scale)
-    np.testing.assert_allclose(passed, exact, rtol=2e-9, atol=1e-11)
+    np.testing.assert_allclose(passed, exact, rtol=2e-9, atol=1e-12)
 
 
 def test_transients_of_bonds_that_break_after_a_steep_rise_of_rates():

@@ -257,8 +257,8 @@ def of_two(x):
 
 
 def test_transients_and_fluctuations_of_two_thresholds():
-    """By the births of whole steps, at places that are no edges of cells; spread evenly
-    over cells births were off by up to a third of one, and errors were 1e-11."""
+    """Sums over the births of whole steps, at places that are no edges of cells; spread
+    evenly over cells births were off by up to a third of one, and errors were 1e-11."""
     contacts = Ensemble(Table([1.0, 2.0]), stiffness_law="uniform")
     found = transient(contacts, Drive(VELOCITY, 10.333), 41)
     # a jump may be on either side of an edge

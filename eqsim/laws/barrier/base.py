@@ -190,6 +190,11 @@ class Barrier(Law):
 
         return np.asarray(xi * np.exp(bisected(below, low, np.zeros_like(low), 20)[1]))
 
+    def ends_of_panels(self, levels: Array, xi: Array, a: Array) -> Array:
+        """Stretches between which the hazard is smooth, shape (n, ends), for n contacts:
+        `layers`, and last those of `stretch_at`."""
+        return np.concatenate((self.layers(xi, a), self.stretch_at(levels, xi, a)), 1)
+
     def layers(self, xi: Array, a: Array) -> Array:
         """Stretches on the scale of which the rate falls as the stretch grows, shape (n,
         layers), for n contacts: none but for catch bonds."""

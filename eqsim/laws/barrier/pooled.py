@@ -24,6 +24,7 @@ from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import (
     FAR_RANKS_ABOVE,
     NO_STEPS,
+    RANKS_ABOVE,
     Gamma,
     Smooth,
     ThresholdLaw,
@@ -116,6 +117,11 @@ def pooled_rate(
         step = _FINER_TRAPEZOID if finer else _TRAPEZOID_STEP
         found = [_trapezoid(law, stiffness, barrier, b, part, step) for part in parts]
     else:
+        if barrier.by_force and stiffness == "sqrt" and not has_thin_tail(law):
+            raise InputError(
+                f"thresholds = {law}: strong contacts are too many for annealed bonds "
+                'of stiffness_law = "sqrt": off-rates have no mean; take "uniform"'
+            )
         rule = gauss_legendre(order or (_FINER_ORDER if finer else _ORDER))
         weak = np.exp(-_WEAK[log_w > _WEAK + _UNSEEN_ATTEMPTS])
         ends = _ends_of_panels(law, weak)
@@ -197,15 +203,8 @@ def _by_panels(
         near = barrier.width(_EXPONENTS, origin, a)
     fixed = np.broadcast_to(ends, (y.size, ends.size))
     layer = np.concatenate((origin + np.minimum(near, far), fixed), axis=1)
-    ranks = []
-    if barrier.by_force and sqrt_law:
-        if not has_thin_tail(law):
-            raise InputError(
-                f"thresholds = {law}: strong contacts are too many for annealed bonds "
-                'of stiffness_law = "sqrt": off-rates have no mean; take "uniform"'
-            )
-        ranks = [FAR_RANKS_ABOVE]
-    above = panels_above(law, y[:, 0], layer, *ranks)
+    ranks = FAR_RANKS_ABOVE if barrier.by_force and sqrt_law else RANKS_ABOVE
+    above = panels_above(law, y[:, 0], layer, ranks)
     edges = np.sqrt(np.maximum(above - y, 0.0))
     with np.errstate(invalid="ignore"):  # at y = 0 the first edge is xi = 0
         E = barrier.exponent(*contact(y, edges[:, :-1]))
