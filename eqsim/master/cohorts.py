@@ -256,7 +256,7 @@ def ages_of_survivors(hazard: float) -> Ages:
     `hazard`."""
     age, age2 = 0.5 - hazard / 12.0, 1.0 / 3.0 - hazard / 12.0
     if hazard > 0.02:
-        rest = 1.0 / (exp(hazard) - 1.0)
+        rest = 1.0 / (exp(min(hazard, 700.0)) - 1.0)
         age = 1.0 / hazard - rest
         age2 = 2.0 / hazard**2 - (1.0 + 2.0 / hazard) * rest
     return Ages(mean_exponential(0.0, hazard), age, age2)
@@ -272,7 +272,7 @@ def bear(contacts: Any, cohorts: Cohorts, row: int, step: PathStep) -> None:
     begun the cohort."""
     cohort, dt = cohorts.rows[row], step.t1 - step.t0
     hazard = _hazard_in_step(contacts.tables, dt, 0.0, abs(step.X1 - step.X0))
-    left = ages_of_survivors(min(hazard, 700.0))
+    left = ages_of_survivors(hazard)
     cohort.births = left.share
     _find_pinned(contacts, cohort, 0.5 * dt)
     # `observe` takes them at the middle and spread evenly; survivors are younger
@@ -435,8 +435,9 @@ def _births_in(
     contacts pinned before are still so, and the share `newborn` of the births is."""
     dt, breaks = path.t[m] - path.t[m - 1], history.breaks
     due, later = _due(delay, path, history, m, rate)
-    broken = 1.0 - newborn
-    per_time = (history.pinned[m - 1] - pinned + due * broken) / (dt - later * broken)
+    lost = history.pinned[m - 1] - pinned + due * (1.0 - newborn)
+    # newborn contacts may be broken but for 1e-20 of them
+    per_time = lost / (dt - later + later * newborn)
     breaks[m] = breaks[m - 1] + per_time * dt
     return due + per_time * later
 

@@ -176,7 +176,9 @@ def _add_hazard(contacts: Fronts, cohort: Cohort, z: Array, step: PathStep) -> N
         if min(low, high) > limit:  # stronger contacts are safer
             break
         middle = height(barrier, xi * gm, xm, 0.5 * (a0 + a1))
-        p = dt * prefactor(barrier, max(xi * gm, xm), xm)
+        # until x passes the threshold, if it does
+        passed = 0.5 * (min(x0, x1, xi * gm) + xi * gm)
+        p = dt * prefactor(barrier, xi * gm, min(xm, passed))
         bent = 2.0 * abs(middle - 0.5 * (low + high)) / _STRAIGHTNESS
         halves = min(max(bent - 1.0, 0.0), 1.0)
         middle -= barrier.log_w
@@ -254,6 +256,18 @@ def _find_pinned_by_strata(
     cohort.stiffness2 = cohort.births * stiffness2
 
 
+@routine(inline=True)
+def _across(weak: float, strong: float, apart: float, power: float) -> float:
+    """Mean over a stratum of a moment of births, of which its two ends are given: ln z
+    differs by `apart`, and where z is large the moment falls as z^-power. Its logarithm
+    is taken for two straight lines, one of them level."""
+    if not 0.0 < weak < strong:
+        return 0.5 * (weak + strong)
+    drop = math.log(strong / weak)
+    bent = max(apart, drop / power)
+    return strong * (1.0 + (-math.expm1(-drop) - drop) / (power * bent))
+
+
 @bear.register(Fronts)
 def _bear(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
     """Find what is pinned at the end of a step of one birth spread over it, and z of
@@ -277,7 +291,7 @@ def _bear(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
             before = scratch.before[k]
             if before > 700.0:
                 continue
-            left = ages_of_survivors(min(z[k] - before, 700.0))
+            left = ages_of_survivors(z[k] - before)
             alive = exp(-before) * left.share * width
             square = u * u + 2.0 * u * width * left.age + width * width * left.age2
             share[k] += alive
@@ -290,10 +304,13 @@ def _bear(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
     cohort.pinned, cohort.stiffness, cohort.stiffness2 = 0.0, 0.0, 0.0
     for k in range(strata.left.size):
         j = k + contacts.nodes.size - strata.left.size
-        unbroken = 0.5 * _unbroken(strata.left[k], strata.right[k], 0.0, weakest)
-        cohort.pinned += unbroken * strata.share[0, k] * (share[k] + share[j])
+        unbroken = _unbroken(strata.left[k], strata.right[k], 0.0, weakest)
+        apart = scratch.newer[k] - scratch.newer[j]
+        pinned = _across(share[k], share[j], apart, 1.0)
         # `observe` takes them at the middle and spread evenly; survivors are younger
-        first, second = 2.0 * g * (age[k] + age[j]), 3.0 * g * g * (age2[k] + age2[j])
+        first = 2.0 * g * _across(age[k], age[j], apart, 2.0)
+        second = 3.0 * g * g * _across(age2[k], age2[j], apart, 3.0)
+        cohort.pinned += unbroken * strata.share[0, k] * pinned
         cohort.stiffness += unbroken * strata.share[1, k] * first
         cohort.stiffness2 += unbroken * strata.share[2, k] * second
 

@@ -142,11 +142,22 @@ def cells_of_law(
     return edge, threshold(nodes), share / share.sum()
 
 
+def _rarest(contacts: Reduced) -> float:
+    """Normal deviate of the strongest thresholds that are followed: rarer ones, the more
+    births there may be, as weak contacts that heat breaks at once are born again until
+    they are strong."""
+    if contacts.annealed or not contacts.barrier.thermal:
+        return _DEVIATES
+    rare = special.log_ndtr(-_DEVIATES) - max(contacts.barrier.log_w, 0.0)
+    return -float(special.ndtri_exp(rare))
+
+
 def _cells_of(contacts: Reduced, cells: int) -> tuple[Array, Array, Array]:
     """Edges of cells of a law, shape (edges,), shares of births in them times
     (k_i/k)^p, shape (3, edges - 1), and those above each edge, shape (3, edges)."""
     law, share = contacts.law, np.linspace(-_CROWDING, _CROWDING, cells + 1)
     even = _DEVIATES / math.sinh(_CROWDING) * np.sinh(share)
+    even[share > 0.0] *= _rarest(contacts) / _DEVIATES
     kinks = law.kinks if law.kinks.size <= cells else NO_STEPS
     edge, xi, share = cells_of_law(law, kinks, even, 4)
     shares = (share * kappa_of(contacts, xi) ** _STIFFNESS_POWERS[..., None]).sum(
@@ -482,7 +493,8 @@ def solve(contacts: Reduced, course: Course) -> tuple[Array, Array, list[History
     quickest = min(1.0, delay.mean or 1.0, float(ages[np.argmax(grown)]))
     if thermal:
         lift = _lift(contacts, course.speeds[1])
-        quickest = min(quickest, math.exp(-contacts.barrier.log_w - lift))
+        attempts = max(-contacts.barrier.log_w - lift, math.log(_LEAST_INSTANT))
+        quickest = min(quickest, math.exp(attempts))
     fixed, changes = isinstance(delay, Fixed), not isinstance(aging, Unaged)
     sharp = sharp_instants(
         Corners(corners, X),
