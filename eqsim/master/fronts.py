@@ -59,12 +59,8 @@ _LEAST_DIFFERENCE = 0.03
 # Deviation of the barrier from a straight line over a step, beyond which the step is
 # taken in halves; from half of it on both values are blended.
 _STRAIGHTNESS = 0.01
-# Share r of z at the older edge that the newer one is given if z ends at 0 there:
-# (1 - r)/-ln r = 1/2, which is the mean of z over its largest.
-_OF_OLDER = 0.203188
-# How much more of it per z at the newer edge: right if that is half as large, and 2 %
-# off in the mean of z in between.
-_OF_NEWER = 0.6848
+# Age of the last births of a cohort over its width, up to which it is young.
+_YOUNG = 12.0
 # Substeps of the births of a step where thresholds grow.
 _SUBSTEPS_OF_BIRTHS = 12
 
@@ -316,13 +312,18 @@ def _bear(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
 
 
 @routine
-def _raise_youngest(z: Array, newer: Array) -> None:
-    """Raise ln z at the newer edge of a cohort of newborn contacts, so that a plane of
-    ln z up to the older edge, whose hazard is `z`, has the mean of a z that grows
-    evenly with age: that ends at 0, and ln z at -oo."""
-    for k in range(z.size):
-        risen = _OF_OLDER * z[k] + _OF_NEWER * math.exp(newer[k])
-        newer[k] = max(newer[k], math.log(risen))
+def _raise_newer(older: Array, newer: Array, log_ages: float) -> None:
+    """Raise ln z at the newer edge of a young cohort, so that a plane of ln z up to the
+    older edge has the mean of a z that grows evenly with age, as far as z does so
+    between the ages of the edges, whose ratio has the logarithm `log_ages`. The newer
+    over the older z, r, is from (1 - r)/-ln r = (1 + sqrt(r))^2/6 + sqrt(r)/3, which is
+    1e-3 off at most (derived)."""
+    for k in range(newer.size):
+        power = (older[k] - newer[k]) / log_ages
+        if power < 2.0:
+            share = math.exp(newer[k] - older[k])
+            even = older[k] + 2.0 * math.log(math.sqrt(6.0 + 3.0 * share) - 2.0)
+            newer[k] += min(2.0 - power, 1.0) * max(even - newer[k], 0.0)
 
 
 @carry.register(Fronts)
@@ -330,8 +331,9 @@ def _carry(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None
     cohort, z, scratch = cohorts.rows[row], cohorts.z[row], cohorts.scratch
     _add_hazard(contacts, cohort, z, step)
     _logarithms(z, scratch.older)
-    if step.t1 - cohort.t_last < cohort.t_last - cohort.t_first:
-        _raise_youngest(z, scratch.newer)
+    young, width = step.t1 - cohort.t_last, cohort.t_last - cohort.t_first
+    if young < _YOUNG * width:
+        _raise_newer(scratch.older, scratch.newer, math.log1p(width / young))
     g = growth(contacts.growth.law, step.t1 - 0.5 * (cohort.t_first + cohort.t_last))
     _find_pinned_by_strata(contacts, cohort, scratch.older, scratch.newer, g)
     copy(scratch.older, scratch.newer)
