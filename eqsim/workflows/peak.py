@@ -7,7 +7,8 @@ import numpy as np
 from eqsim.engine.readings import Forces, extreme
 from eqsim.engine.records import Trajectory
 from eqsim.estimate import Estimate, known
-from eqsim.master.peak import PEAK_WINDOW, Peak, tip, top_of, vertex
+from eqsim.laws.no_thresholds import has_jumps
+from eqsim.master.peak import PEAK_WINDOW, Missed, Peak, missed_by, top_of, vertex
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 
@@ -36,20 +37,25 @@ def static_peak(ensemble: Ensemble, drive: Drive, run: Trajectory) -> Peak | Non
     last = min(fallen[fallen > top], default=size)
     peak, place = extreme(X[:last], Forces(force[:last], stderr[:last]), 1.0)
     where, height = known(place), known(peak)
+    missed = Missed(0.0, 0.0)
     if height == force[top]:  # no neighbours that are as high within errors
         where, height = vertex(X, force, top)
-        error = math.hypot(error, height - force[top])
+        missed = missed_by(ensemble, X, force, top)
+        noise = 2.0 * math.sqrt(2.0) * error  # of a difference
+        if missed.force < noise and not has_jumps(ensemble.thresholds):
+            missed = Missed(0.0, 0.0)
+        error = math.hypot(error, height - force[top], missed.force)
     else:
         error = peak.stderr or error
     # on a plateau the maximum may be anywhere
     high = force[first:last] >= force[top] - 2.0 * stderr[top]
     extent = float(np.ptp(X[first:last][high]))
-    beside, missed = tip(ensemble, X, force, top)
-    spread = max(place.stderr or 0.0, 0.5 * extent, beside)
-    error = math.hypot(error, missed)
+    spread = max(place.stderr or 0.0, 0.5 * extent, missed.X)
     # on a longer plateau the largest of many noisy values is too large
     reliable = run.force_reliable and extent < _PLATEAU * PEAK_WINDOW * period
-    reliable &= missed < _KINK * height  # else a later one may be higher between points
+    reliable &= (
+        missed.force < _KINK * height
+    )  # else a later one may be higher between points
     lives = run.lives
     return Peak(
         Estimate(where, spread, lives, None, reliable),

@@ -2,10 +2,12 @@
 what `eqsim run` says of it."""
 
 import json
+import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 from typer.testing import CliRunner
 
 from eqsim import (
@@ -13,7 +15,9 @@ from eqsim import (
     Delta,
     Drive,
     Ensemble,
+    Exponential,
     Gamma,
+    Lognormal,
     Table,
     Thermal,
     load,
@@ -37,10 +41,12 @@ CONTACTS = {
 }
 
 
-@pytest.mark.parametrize("ensemble", CONTACTS.values(), ids=CONTACTS)
-def test_run_reference_and_fit_have_one_peak(ensemble):
+@pytest.mark.parametrize("name", ["sqrt", "sharp", "warm", "delayed"])
+def test_run_reference_and_fit_have_one_peak(name):
     """Runs make the same of the exact mean, as a run without noise on the same grid, to
-    the last bits; and so do `peak_X` and `peak_ratio` of fits, of a quotient."""
+    the last bits, if that resolves the peak; and so do `peak_X` and `peak_ratio` of
+    fits, of a quotient."""
+    ensemble = CONTACTS[name]
     drive, exact = Drive(0.1, 4.0 * ensemble.thresholds.rms), first_peak(ensemble, 0.1)
     mean = transient(ensemble, drive, 401)
     none = np.zeros(401)
@@ -67,6 +73,68 @@ def test_contacts_in_step_have_the_first_of_many_peaks():
     found = static_peak(contacts, drive, trajectory(contacts, drive, points=2001))
     assert found.X.value == pytest.approx(0.99, abs=1e-9)
     assert found.force.value == pytest.approx(0.99, abs=1e-9)
+
+
+def narrow_law():
+    """Lognormal thresholds, T = 0, uniform stiffness: F(X) = X - E[xi; xi < X] until
+    contacts break again, and F' = 0 where X times the density is 1 (derived)."""
+    sigma = 0.0143
+    x = math.exp(-sigma * math.sqrt(-2.0 * math.log(sigma * math.sqrt(2.0 * math.pi))))
+
+    def force(X):
+        broken = ndtr(np.log(np.maximum(X, 1e-9)) / sigma - sigma)
+        return X - math.exp(0.5 * sigma**2) * broken
+
+    return Ensemble(Lognormal(sigma), stiffness_law="uniform"), x, force
+
+
+def late_births():
+    """A constant hazard, a drag of `drag` in X while detached: all that break within
+    the delay d still drag at X = d, where the first births begin (derived)."""
+    d, drag = 0.049, 3000.0
+
+    def force(X):
+        return X * np.exp(-X) - drag * np.expm1(-X)
+
+    contacts = Ensemble(
+        Exponential(), delay=Delay(d), eta=drag, stiffness_law="uniform"
+    )
+    return contacts, d, force
+
+
+def two_teeth():
+    """Thresholds a and b > a, T = 0, uniform stiffness: teeth of heights a and b - a/2
+    (derived), the second the higher one by 0.0025."""
+    a, b = 0.665, 1.0
+
+    def force(X):
+        return np.where(b < X, X - 0.5 * (a + b), np.where(a < X, X - 0.5 * a, X))
+
+    return Ensemble(Table([a, b]), stiffness_law="uniform"), b, force
+
+
+@pytest.mark.parametrize("case", [narrow_law, late_births, two_teeth])
+def test_peaks_narrower_than_the_grid(case):
+    """Closed forms, within the quoted errors, and errors that are small: of the exact
+    peak, and of runs without noise on three grids up to where these forms hold, coarse
+    enough that the peak lies between two points."""
+    contacts, place, force = case()
+    height = float(force(np.array(place)))
+    exact = first_peak(contacts, 1.0)
+    assert abs(exact.X.value - place) <= exact.X.stderr < 1e-3
+    assert abs(exact.force.value - height) <= exact.force.stderr < 1e-3 * height
+    for points in (61, 107, 401):
+        X = np.linspace(0.0, 1.2 * place, points)
+        values = force(X)
+        if case is late_births:  # past its delay the force falls, here on a line
+            values = np.where(place < X, height - (X - place), values)
+        none = np.zeros(points)
+        run = SimpleNamespace(
+            X=X, force=values, force_stderr=none, force_reliable=True, lives=1
+        )
+        found = static_peak(contacts, Drive(1.0, X[-1]), run)
+        assert abs(found.X.value - place) <= found.X.stderr
+        assert abs(found.force.value - height) <= found.force.stderr + 1e-12
 
 
 @pytest.mark.parametrize(
