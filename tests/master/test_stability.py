@@ -167,6 +167,9 @@ EDGED = [
     (Uniform(0.9, 1.1), 4.5, 0.9),
     (Uniform(0.5, 1.5), 0.875, 0.625),
     (Pareto(3.5), 2.5, 1.0),
+    # kinks where in their cells slopes differ the most from those of two grids
+    (Pareto(3.210302702525091), 2.210302702525091, 1.0),
+    (Uniform(0.67, 0.787), 0.67 / 0.117, 0.67),
 ]
 
 
