@@ -89,6 +89,9 @@ _FASTEST_DECAY = 4.0
 # growth within a panel of ages makes some that do not exist.
 _CANDIDATES = 12
 
+# |p| times a panel of thresholds whose eight nodes resolve exp(-p xi), to 1e-10.
+_FOLLOWED = 6.0
+
 # |p| times a panel of ages that its eight nodes resolve, to 1e-5 of Z.
 _RESOLVED = 8.0
 
@@ -116,11 +119,49 @@ def mode(p: complex, error: float, least: float, reliable: bool = True) -> Mode:
     return Mode(growth, Estimate(period, missed, 0, None, reliable))
 
 
+class Panels(NamedTuple):
+    """Panels of thresholds: their ends, arrays (panels,), and the matrices that turn
+    integrals of Legendre polynomials over a panel into weights of its nodes over their
+    shares, shape (panels, nodes, nodes)."""
+
+    low: Array
+    high: Array
+    weights: Array
+
+    @classmethod
+    def between(cls, edges: Array, nodes: Array) -> "Panels":
+        """Panels between edges, with nodes (panels, nodes) in them."""
+        low, high = edges[:-1], edges[1:]
+        half = np.where(high > low, 0.5 * (high - low), 1.0)[:, None]
+        at = (nodes - 0.5 * (low + high)[:, None]) / half
+        values = np.polynomial.legendre.legvander(at, nodes.shape[1] - 1)
+        weights = np.linalg.pinv(values).transpose(0, 2, 1)
+        return cls(low, high, weights / (2.0 * weights[..., :1]))
+
+    def unresolved(self, p: Array) -> tuple[Array, Array]:
+        """Whether exp(-p xi) changes too much within the panel of a node for the rule of
+        Gauss, and the numbers that take its place there by the rule of Filon, exact for
+        densities that are polynomials within a panel; both of shape (n, nodes) for p of
+        shape (n,)."""
+        z = 0.5 * p[:, None] * (self.high - self.low)
+        order = self.weights.shape[1]
+        steep = np.repeat(2.0 * np.abs(z) > _FOLLOWED, order, axis=1)
+        first, last = np.exp(-p[:, None] * self.low), np.exp(-p[:, None] * self.high)
+        # panels without a width are not steep
+        with np.errstate(all="ignore"):
+            integrals = [(first - last) / z, (first - last) / z**2 - (first + last) / z]
+            for n in range(1, order - 1):
+                integrals.append(integrals[-2] + (2 * n + 1) * integrals[-1] / z)
+            found = self.weights @ np.array(integrals).transpose(2, 0, 1)
+        return steep, found.transpose(2, 0, 1).reshape(steep.shape)
+
+
 class Loop(NamedTuple):
     """Numbers of the characteristic equation: thresholds of newborn contacts, their
     shares and kappa, arrays (nodes,); delays; the viscous force of a detached contact;
     beta; the damping, with that by the mean share of detached contacts; the mass of
-    the slider; and lives of contacts that heat breaks or that age, else None."""
+    the slider; lives of contacts that heat breaks or that age, else None; and panels of
+    the thresholds unless the law is discrete."""
 
     xi: Array
     share: Array
@@ -131,6 +172,7 @@ class Loop(NamedTuple):
     damping: float
     mass: float
     lives: Lives | None = None
+    panels: Panels | None = None
 
     @property
     def travel(self) -> float:
@@ -173,10 +215,13 @@ class Loop(NamedTuple):
         if p.size * self.xi.size > _TERMS_AT_ONCE and p.size > 1:
             return np.concatenate([self.response(p) for p in np.array_split(p, 2)])
         z = p[:, None] * self.xi
-        lost = -np.expm1(-z)
+        lost, far = -np.expm1(-z), np.abs(z) >= 0.5
+        if self.panels:
+            steep, decay = self.panels.unresolved(p)
+            lost, far = np.where(steep, 1.0 - decay, lost), far | steep
         broken = lost @ self.share  # 1 - P
-        far = np.abs(z) >= 0.5
-        work = np.polynomial.polynomial.polyval(np.where(far, 0.0, z), _SERIES)
+        work = np.empty_like(z)
+        work[~far] = np.polynomial.polynomial.polyval(z[~far], _SERIES)
         work[far] = (lost[far] - z[far] * (1.0 - lost[far])) / z[far] ** 2
         M = work @ (self.share * self.kappa * self.xi**2)
         away = self.delay.forgotten(p)  # 1 - D
@@ -195,6 +240,7 @@ def loop_of(contacts: Reduced, pull: Pull, nodes: Nodes) -> Loop:
     fixed delay."""
     law, delay = contacts.law, contacts.delay
     simple = not contacts.barrier.thermal and isinstance(contacts.aging, Unaged)
+    cells = None
     if law.steps.size:
         xi, share, kappa = different_steps(contacts)
         if xi.size == 1 and isinstance(delay, Fixed) and not contacts.barrier.thermal:
@@ -205,12 +251,13 @@ def loop_of(contacts: Reduced, pull: Pull, nodes: Nodes) -> Loop:
     else:
         panels = nodes.panels if simple else nodes.panels // _BLURRED
         even = np.linspace(-nodes.reach, nodes.reach, panels + 1)
-        _, inner, weights = cells_of_law(law, law.kinks, even, 8)
+        edges, inner, weights = cells_of_law(law, law.kinks, even, 8)
+        cells = Panels.between(edges, inner)
         xi, share = inner.ravel(), weights.ravel()
         kappa = kappa_of(contacts, xi)
     lives = None if simple else lives_of(contacts, xi, share, nodes.ages)
     drag, mass = contacts.drag, pull.mass
-    loop = Loop(xi, share, kappa, delay, drag, 1.0, pull.damping, mass, lives)
+    loop = Loop(xi, share, kappa, delay, drag, 1.0, pull.damping, mass, lives, cells)
     beta = 1.0 / (loop.travel + delay.mean)
     damping = pull.damping + drag * beta * delay.mean
     return loop._replace(beta=beta, damping=damping)
@@ -230,9 +277,10 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
 
     It is infinite for a slider with a mass and no damping if the delay is fixed, as Im
     Z changes its sign whenever w tau is near a multiple of 2 pi. The scan, with the
-    nodes of `coarse`, ends where -Re Z is below the greatest so far, or |Im Z| too
-    small for another root; for discrete thresholds without damping, whose |Z| does not
-    fall, after `_SCAN_POINTS` steps. Raises InputError if with a mass it does not end.
+    nodes of `coarse`, ends where -Re Z is below the greatest so far over an octave, in
+    which sharp edges of a law resonate, or |Im Z| too small for another root; for
+    discrete thresholds without damping, whose |Z| does not fall, after `_SCAN_POINTS`
+    steps. Raises InputError if with a mass it does not end.
     """
     if loop.mass > 0.0 and loop.damping == 0.0 and isinstance(loop.delay, Fixed):
         return Border(math.inf, math.inf)
@@ -256,8 +304,9 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
             )
         w = np.arange(low, high + step, step)
         Z = coarse.response(1j * w)
-        weakening = float(-Z.real[w.size // 2 :].min())
-        size = float(np.abs(Z.imag[w.size // 2 :]).max())
+        late = w >= 0.5 * high
+        weakening = float(-Z.real[late].min())
+        size = float(np.abs(Z.imag[late]).max())
         largest = max(largest, float(-Z.real.min()))
         phase = loop.damping * w + Z.imag
         for i in np.flatnonzero(phase[:-1] * phase[1:] < 0.0):

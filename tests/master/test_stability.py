@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cases import chosen
 from command_line import call
-from scipy import integrate, special, stats
+from scipy import integrate, optimize, special, stats
 
 from eqsim import (
     Aging,
@@ -338,6 +338,54 @@ def test_border(law, velocity, tau, values):
         assert abs(exact) < 1e-9
         assert unstable(scan, 1.01 * found.stiffness) == 0
         assert unstable(scan, 0.99 * found.stiffness) == 2
+
+
+def impedance_of_pareto(w, exponent, law, tau, shape):
+    """Z(i w) at velocity 1, from the means of xi^s exp(-i w xi) along the contour xi = 1
+    - i y/w, on which they decay, by the trapezoidal rule in ln y."""
+    points = np.linspace(-40.0, 5.0, 300)
+    y, q = np.exp(points), 1j * w[:, None]
+    means = [
+        np.exp(-q) / q * y * np.exp(-y) * exponent * (1.0 + y / q) ** (s - exponent - 1)
+        for s in range(3)
+    ]
+    E = [mean.sum(axis=1) * (points[1] - points[0]) for mean in means]
+    q = 1j * w
+    mean, rms = exponent / (exponent - 1.0), math.sqrt(exponent / (exponent - 2.0))
+    sqrt = (mean - E[1] - q * E[2]) / (q**2 * rms)
+    M = sqrt if law == "sqrt" else (1.0 - E[0] - q * E[1]) / q**2
+    D = np.exp(-q * tau) if shape == "fixed" else 1.0 / (1.0 + q * tau)
+    return -q * M * (1.0 - D) / (1.0 - D * E[0]) / (mean + tau)
+
+
+@pytest.mark.parametrize(
+    ("exponent", "law", "tau", "shape"),
+    # delays much shorter than the least threshold resonate with its harmonics
+    [
+        (3.1, "sqrt", 0.05, "exponential"),
+        (3.7, "uniform", 0.08, "fixed"),
+        (3.8, "sqrt", 1.2, "fixed"),
+        (5.5, "uniform", 0.0095, "exponential"),
+    ],
+)
+def test_border_of_heavy_tails(exponent, law, tau, shape):
+    """Rare thresholds many periods long, without damping: the greatest -Re Z where Im Z
+    = 0."""
+
+    def Z(w):
+        return impedance_of_pareto(np.atleast_1d(w), exponent, law, tau, shape)
+
+    w = np.arange(0.02, 120.0, 0.02)
+    phase = Z(w).imag
+    roots = [
+        optimize.brentq(lambda w: Z(w)[0].imag, w[i], w[i + 1], xtol=1e-14)
+        for i in np.flatnonzero(phase[:-1] * phase[1:] < 0.0)
+    ]
+    ensemble = Ensemble(Pareto(exponent), delay=Delay(tau, shape), stiffness_law=law)
+    programme = pulled(0.1, 0.0, velocity=1.0)
+    found = critical_stiffness(pulled_by(ensemble, programme))
+    assert abs(found.value + Z(np.array(roots)).real.min()) < found.stderr
+    assert found.stderr < 1e-8
 
 
 def unstable(fine, stiffness, beyond=0.0):
