@@ -312,6 +312,12 @@ def border_of(loop: Loop, coarse: Loop) -> Border:
         for i in np.flatnonzero(phase[:-1] * phase[1:] < 0.0):
             best = max(best, _crossing(loop, w[i], w[i + 1]))
         border = max(best.stiffness, _FAINT * largest)
+        rising = loop.delay.mean * high
+        if 0.0 < rising < 1.0:
+            # at most beta tau is the same whatever the thresholds; the rest, of sharp
+            # edges of a law, may rise as |1 - D|, up to w tau = 1
+            edges = largest - loop.beta * loop.delay.mean
+            weakening = max(weakening, edges / rising)
         faint = loop.mass == 0.0 and weakening <= border
         if faint or loop.damping * high > 2.0 * size:
             return best

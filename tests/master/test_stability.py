@@ -388,6 +388,23 @@ def test_border_of_heavy_tails(exponent, law, tau, shape):
     assert found.stderr < 1e-8
 
 
+def test_short_delays_resonate_with_both_edges_of_a_law():
+    """The greatest -Re Z where Im Z = 0, at the third resonance, by a scan of a wide
+    range."""
+    ensemble = Ensemble(
+        Uniform(0.216, 1.784), delay=Delay(0.0057), stiffness_law="uniform"
+    )
+    programme = pulled(0.1, 0.0, velocity=1.0)
+    found = critical_stiffness(pulled_by(ensemble, programme))
+    w = np.arange(0.01, 60.0, 0.005)
+    Z = loop(ensemble, programme).response(1j * w * ensemble.thresholds.scale)
+    roots = np.flatnonzero(Z.imag[:-1] * Z.imag[1:] < 0.0)
+    most = float((-Z.real[roots]).max())
+    step = float(np.abs(np.diff(Z.real)).max())
+    assert step < 1e-4
+    assert found.value == pytest.approx(most, abs=step)
+
+
 def unstable(fine, stiffness, beyond=0.0):
     """How many roots have Re p > beyond, by the argument principle: around the upper
     half of a large box, where the equation is real on the real axis."""
