@@ -8,10 +8,11 @@ lattice whose blocks are alike the level is q D, and q_j = 1. The level rises wi
 plate; breaks that follow below the level are an avalanche, and take no time.
 
 Breaks by heat are exact random times, drawn by thinning (Lewis and Shedler, 1979): up
-to a position ahead, the wall, the rate of a contact is below its rate at the wall or at
-its threshold. Candidates come at the rate of the sum of these bounds, and one is a
-break with the probability rate/bound. At its wall a block's bounds are renewed, so that
-nothing but the time it takes depends on how far ahead walls are.
+to a position ahead, the wall, the rate of a contact is below its rate here, at the wall
+or at its threshold, and that of an annealed contact below the greatest of its table.
+Candidates come at the rate of the sum of these bounds, and one is a break with the
+probability rate/bound. At its wall a block's bounds are renewed, so that nothing but
+the time it takes depends on how far ahead walls are.
 
 Lengths are in units of the threshold law's scale, time is displacement at the pace of
 the plate. A run belongs to one thread.
@@ -41,7 +42,7 @@ from eqsim.engine.lattice import (
 )
 from eqsim.errors import InputError
 from eqsim.laws.barrier.base import height, prefactor, rate, thermal
-from eqsim.laws.barrier.pooled import Pooled
+from eqsim.laws.barrier.pooled import Pooled, greatest_between
 from eqsim.laws.stiffness import kappa
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble
@@ -56,7 +57,6 @@ _COLUMNS = 256  # of a response that are solved for together
 _LEAST_SHARE = 1e-290  # q_j of a block that the plate does not move
 _MOST_NUMBERS = 1e8  # of a response: 1 GB of memory
 _BEYOND = 1.0 + 1e-9  # factor on bounds, for their rounding
-_OVER = 1.25  # factor on the greatest of three pooled rates
 _CONSTANT = ("start", "share", "kept")  # of blocks
 _AHEAD = 0.5  # e-folds of the rate of a contact between a wall and the next
 
@@ -168,10 +168,7 @@ def greatest_rate(
 def _greatest_pooled_rate(
     law: Pooled, xi: float, stiffness: float, low: float, high: float
 ) -> float:
-    # it has a single, smooth maximum, which three points miss by less
-    found = max(rate(law, xi, stiffness, low), rate(law, xi, stiffness, high))
-    middle = rate(law, xi, stiffness, 0.5 * (low + high))
-    return _OVER * max(found, middle)
+    return greatest_between(law, low, high)
 
 
 @routine(inline=True)

@@ -37,7 +37,7 @@ def contacts(
         # the pool does not depend on the velocity, which is in log_w
         bare = barrier._replace(log_w=0.0)
         pool = pooled_hazard_of(s.law, s.stiffness, bare, s.barrier.b)
-        barrier = Pooled(s.barrier.log_w, pool.x, pool.G, pool.slopes)
+        barrier = Pooled(s.barrier.log_w, *pool)
     born: Unstressed | Stretched = Unstressed()
     if s.newborn.active:
         born = stretched(s.newborn, s.law, not s.one_sided)

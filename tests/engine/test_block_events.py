@@ -21,9 +21,11 @@ from eqsim import (
     Elastic,
     Ensemble,
     InputError,
+    Pathway,
     Programme,
     Segment,
     Stage,
+    Table,
     Thermal,
     elastic_trajectory,
     reference,
@@ -209,6 +211,32 @@ def test_walls_change_nothing(monkeypatch, barrier):
             one, other = (getattr(run, name) for run in runs)
             z = (one.value - other.value) / np.hypot(one.stderr, other.stderr)
             assert abs(z) < 4.5, (disorder, name)
+
+
+@pytest.mark.parametrize(
+    "heat",
+    [
+        Thermal(0.02),
+        Thermal(
+            barrier="catch-slip", catch=Pathway(1.0, 0.05), slip=Pathway(0.02, 0.2)
+        ),
+    ],
+)
+def test_annealed_rates_that_rise_to_every_threshold(heat):
+    """A block that the plate holds at D to 1e-5 beside rigid contacts, whose breaks are
+    drawn from the hazard: 24 forces and 2 numbers of breaks within 4.5 errors of each
+    other. The rate is greatest below each of three thresholds, or when a bond is born.
+    """
+    law = Table([0.5, 1.0, 2.0])
+    warm = Ensemble(law, thermal=heat, disorder="annealed", count=200, **UNIFORM)
+    drive = Drive(0.05, 5.83)
+    stiff = replace(drive, elastic=Elastic(1, 0.0, 1e5))
+    found = elastic_trajectory(warm, stiff, points=13, replicas=32, seed=3)
+    rigid = trajectory(warm, drive, points=13, replicas=32, seed=4)
+    error = np.hypot(found.force_stderr, rigid.force_replica_std / np.sqrt(32.0))
+    assert np.abs((found.force - rigid.force)[1:] / error[1:]).max() < 4.5
+    # counts of breaks scatter less than Poisson's
+    assert abs(found.lives - rigid.lives) < 4.5 * np.sqrt(found.lives + rigid.lives)
 
 
 def test_weak_springs_remember_their_force():

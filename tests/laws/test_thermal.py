@@ -1038,9 +1038,9 @@ def test_bad_temperature(arguments, message):
     assert message in str(caught.value)
 
 
-def pooled_stretch(x, G, slopes, target):
+def pooled_stretch(x, G, slopes, greatest, target):
     """The inverse of a table of G."""
-    return stretch_of_pool(pooled.Pooled(0.0, x, G, slopes), target)
+    return stretch_of_pool(pooled.Pooled(0.0, x, G, slopes, greatest), target)
 
 
 def soft_hazard_over(x, way, xi, a):

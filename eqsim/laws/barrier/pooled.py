@@ -39,14 +39,16 @@ class PooledHazard(NamedTuple):
     """The pooled integrated hazard G(x) = int_0^x h dy and its inverse: nodes, shape
     (nodes,), and the slope d ln x/d ln G at the left and right end of each cell between
     them, shape (nodes - 1, 2). In logarithms the inverse is a straight line where G is
-    a power of x, and nearly one where G rises exponentially towards a threshold."""
+    a power of x, and nearly one where G rises exponentially towards a threshold.
+    `greatest` bounds the rate h in each cell, shape (nodes - 1,)."""
 
     x: Array
     G: Array
     slopes: Array
+    greatest: Array
 
 
-NO_POOL = PooledHazard(np.empty(0), np.empty(0), np.empty((0, 2)))
+NO_POOL = PooledHazard(np.empty(0), np.empty(0), np.empty((0, 2)), np.empty(0))
 MOST_POOLED_STEPS = 4096
 
 
@@ -86,6 +88,9 @@ _TABLE_ORDER = 8
 # -ln J_c of nodes of a table, and the rise of ln h between nodes.
 _NODE_RANKS = normal_exponent(np.arange(-37.0, 10.0, 0.05))
 _RISE_OF_RATE = 0.25
+# Rate at a point over its mean in a cell; only where G grows by less than 1e-9 of
+# itself, that is by rounding, may the interpolant be steeper.
+_MOST_OVER_MEAN = 64.0
 # ln of the successful attempts per unit displacement that do not count.
 _UNSEEN_ATTEMPTS = -45.0
 
@@ -363,8 +368,22 @@ def _monotone(x: Array, G: Array, left: Array, right: Array) -> PooledHazard:
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         limit = 3.0 * np.diff(np.log(x)) / np.diff(np.log(G))
         left, right = G / (x * left[keep]), G / (x * right[keep])
-    slopes = np.stack((right[:-1], left[1:]), axis=1)
-    return PooledHazard(x, G, np.fmin(slopes, limit[:, None]))
+    slopes = np.fmin(np.stack((right[:-1], left[1:]), axis=1), limit[:, None])
+    return PooledHazard(x, G, slopes, _greatest_rates(x, G, slopes))
+
+
+def _greatest_rates(x: Array, G: Array, slopes: Array) -> Array:
+    """Bound h = (G/x) d ln G/d ln x in each cell: G at its end, x at its beginning, and
+    the least slope d ln x/d ln G of the cubic, at an end or where its curvature is 0."""
+    with np.errstate(all="ignore"):
+        width, rise = np.log(G[1:] / G[:-1]), np.log(x[1:] / x[:-1])
+        left, right = slopes.T * width
+        curve, third = 3.0 * rise - 2.0 * left - right, left + right - 2.0 * rise
+        t = np.clip(-curve / (3.0 * third), 0.0, 1.0)
+        inside = left + t * (2.0 * curve + 3.0 * t * third)
+        least = np.fmin(np.minimum(left, right), inside)
+        bound = G[1:] / x[:-1] * (width / np.maximum(least, 0.0))
+        return np.fmin(bound, _MOST_OVER_MEAN * (np.diff(G) / np.diff(x)))
 
 
 # It takes 0.1 to 0.3 s, and a sweep over velocity asks for it at every point; 32 tables
@@ -382,6 +401,7 @@ class _PooledNumbers(NamedTuple):
     x: Array
     G: Array
     slopes: Array
+    greatest: Array
 
 
 class Pooled(_PooledNumbers, Law):
@@ -508,8 +528,30 @@ def _hermite(law: Pooled, stretch: float) -> tuple[float, float]:
         return (stretch * G[0] / x[0], G[0] / x[0]) if last >= 0 else (0.0, 0.0)
     if stretch >= x[last]:
         return G[last], 0.0
-    cell, t, value = _locate(law, _node_below(law, stretch), stretch)
-    return value, value * cell.width / max(_cell_about(cell, t).slope, 1e-300) / stretch
+    low = _node_below(law, stretch)
+    cell, t, value = _locate(law, low, stretch)
+    rate = value * cell.width / max(_cell_about(cell, t).slope, 1e-300) / stretch
+    most = _MOST_OVER_MEAN * ((G[low + 1] - G[low]) / (x[low + 1] - x[low]))
+    return value, rate if rate < most else most
+
+
+@routine
+def greatest_between(law: Pooled, low: float, high: float) -> float:
+    """Bound on the rate between two stretches: the greatest in the cells they are in
+    and between these."""
+    x, last = law.x, law.x.size - 1
+    if last < 0 or low >= x[last]:
+        return 0.0
+    most, first = 0.0, 0
+    if low < x[0]:
+        most = law.G[0] / x[0]
+    else:
+        first = _node_below(law, low)
+    for cell in range(first, last):
+        if x[cell] > high:
+            break
+        most = max(most, law.greatest[cell])
+    return math.exp(law.log_w) * most
 
 
 @routine
