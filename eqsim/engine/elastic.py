@@ -41,7 +41,7 @@ from eqsim.engine.lattice import (
     spread,
 )
 from eqsim.engine.records import ElasticTrajectory, by_replica
-from eqsim.engine.scatter import births, scatter
+from eqsim.engine.scatter import births, scatter, unmet_force
 from eqsim.engine.trajectory import predicted_lives
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate, drifts, ratio
@@ -319,6 +319,11 @@ class _Interface(NamedTuple):
         laws, key = contacts(ensemble, drive.velocity), key_of(seed, TRAJECTORY)
         return cls(laws, key, count, elastic, response, levels, edges, pauses)
 
+    @property
+    def kept(self) -> float:
+        """Share of the force of a contact that is lost when it breaks."""
+        return 1.0 - self.elastic.branching
+
     def begun(self) -> "_Interface":
         """The same at the beginning, with a contact for each block."""
         none, levels = np.empty(0), self.levels[:1]
@@ -414,6 +419,10 @@ class _WarmInterface(NamedTuple):
             np.array([segment.velocity / pace for segment in segments]),
         )
         return cls(ensemble.count, blocks, instants, grid.t.size)
+
+    @property
+    def kept(self) -> float:
+        return float(self.blocks.kept.max())
 
     def begun(self) -> "_WarmInterface":
         zero = np.zeros(1)
@@ -619,11 +628,14 @@ def simulate_blocks(
     # over blocks
     X, force, variance = (records[name].mean(2) for name in ("X", "force", "variance"))
     X_std = force_std = None
-    stderr = np.sqrt(np.mean(variance / count, axis=0)) * unit
+    variance = variance.mean(axis=0) / count
+    stderr = np.sqrt(variance) * unit
     if replicas > 1:
         X_std, force_std = (np.std(one, axis=0, ddof=1) * unit for one in (X, force))
         stderr = force_std / math.sqrt(replicas)
     X, force = X.mean(axis=0), force.mean(axis=0)
+    unmet = interface.kept * unmet_force(variance, force, count) / replicas
+    stderr = np.maximum(stderr, unmet * unit)
     estimates = _estimates(runs, unit)
     error = (estimates[0].stderr or 0.0) / unit
     if isinstance(interface, _Interface):

@@ -367,7 +367,8 @@ class ElasticTrajectory(ForceRecord):
 
     The error of the force comes from the scatter between replicas, of which 8 are
     enough; that of a single one is of independent contacts at the same displacements,
-    and does not show how far its X is from that of others.
+    and does not show how far its X is from that of others. It is at least what the
+    break of one contact changes, which none of the replicas may have met.
     """
 
     drawn: ClassVar[Drawn] = Record.drawn._replace(

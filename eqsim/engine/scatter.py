@@ -215,6 +215,13 @@ def pinned_variance(pinned: Array, contacts: int, delayed: bool) -> Array:
     return pinned * (1.0 - pinned) / contacts + unseen
 
 
+def unmet_force(variance: Array, force: Array, contacts: int) -> Array:
+    """Change of the mean force of `contacts` contacts by one of them that breaks, of
+    root mean square force. `variance` is that of the mean, any shape. A sample in which
+    no such contact broke has no scatter, and tells its mean to no more than this."""
+    return np.asarray(np.sqrt(variance * contacts + force**2) / contacts)
+
+
 def known_variance(
     law: Scatter, level: Scatter, sample: Array, contacts: int
 ) -> tuple[Array, Array]:

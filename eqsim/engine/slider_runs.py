@@ -19,7 +19,7 @@ from eqsim.engine import avalanches, events
 from eqsim.engine.blocks import Progress, Threads, workers_of
 from eqsim.engine.readings import Forces, shown_by, slips_of
 from eqsim.engine.records import SliderTrajectory, Slip, by_replica
-from eqsim.engine.scatter import pinned_variance
+from eqsim.engine.scatter import pinned_variance, unmet_force
 from eqsim.engine.slider import Slider
 from eqsim.laws.stiffness import kappa
 from eqsim.model.drive import Grid, Output, Programme
@@ -275,8 +275,7 @@ def _unmet(
     """Changes of the means of replicas by a contact that breaks in none of them: the
     force of a typical one, what the slider moves then, and the pinned share that a
     sample does not tell."""
-    of_one = np.sqrt(mean["variance"] * contacts + mean["friction"] ** 2)
-    force = of_one / (contacts * replicas)
+    force = unmet_force(mean["variance"], mean["friction"], contacts) / replicas
     held = np.maximum(stiffness + mean["pinned"], 1.0 / contacts)
     pinned = np.sqrt(pinned_variance(0.0 * force, contacts * replicas, delayed))
     return {"X": force / held, "friction": force, "pinned": pinned}
