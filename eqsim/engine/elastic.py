@@ -61,6 +61,9 @@ _SHORTEST_BATCH = 1.5  # displacement of the plate, in mean thresholds
 _CHANGES_OF_FORCE = 4.0
 _FORGOTTEN = 5.0  # mean thresholds, after which warm contacts know no fresh start
 _RELIABLE_FROM = 8  # batches or replicas whose scatter tells the error of their mean
+# Avalanches of another size that a sample does not tell, as of those that are rare it
+# may have met none (Agresti and Coull, 1998).
+_UNMET = 2.0
 _BETWEEN_PAUSES = 1e6  # breaks between moments at which a signal may stop a run
 _MOST_AVALANCHES = 30_000_000  # of all replicas: some 2 GB of memory
 
@@ -688,10 +691,17 @@ def _estimates(
         reliable = reliable and not drifts(halves(numerator), halves(denominator), 4.0)
         return replace(estimate, reliable=reliable)
 
+    def per_avalanche(numerator: Array) -> Estimate:
+        estimate = over(numerator, batches.avalanches)
+        if estimate.stderr is None:
+            return estimate
+        unmet = _UNMET / float(batches.avalanches.sum())
+        return replace(estimate, stderr=math.hypot(estimate.stderr, unmet))
+
     return (
         over(batches.area * unit, batches.X),
-        over(batches.breaks, batches.avalanches),
-        over(batches.singles, batches.avalanches),
+        per_avalanche(batches.breaks),
+        per_avalanche(batches.singles),
     )
 
 

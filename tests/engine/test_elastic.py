@@ -434,6 +434,21 @@ def test_replicas_that_have_met_no_break_have_errors(kT):
             assert np.all(off[1:] < 4.5 * found.force_stderr[1:])
 
 
+def test_avalanches_that_were_not_met_have_errors():
+    """Stiff springs, for which one avalanche in some 500 has two breaks: mean sizes and
+    single breaks of 40 seeds are within 4.5 errors of those of 100 times as many. Half
+    of the seeds meet single breaks only, and quoted errors of 0."""
+    elastic = Elastic(4, 1.0, 300.0)
+    known = interface(8, 2000.0, elastic, points=3, replicas=8, seed=77)
+    for seed in range(40):
+        found = interface(8, 20.0, elastic, points=3, replicas=8, seed=seed)
+        for name in ("size", "single"):
+            ours, exact = getattr(found, name), getattr(known, name)
+            assert ours.reliable
+            assert abs(ours.value - exact.value) < 4.5 * ours.stderr
+            assert ours.stderr < 0.01
+
+
 @pytest.mark.verification
 def test_errors_are_honest():
     """Scores of 60 seeds: their squares add up to chi-square for friction; errors of
