@@ -384,6 +384,9 @@ def chain_trajectory(
         blocks=by_replica([_of_blocks(run, grid, pull, unit) for run in fine]),
         broke=broke,
         events=by_replica([_in_units(run.events, pull, unit) for run in fine]),
+        coarser_events=by_replica(
+            [_in_units(run.events, pull, unit) for run in coarse]
+        ),
         fronts=fronts,
     )
 

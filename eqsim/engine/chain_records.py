@@ -1,14 +1,15 @@
 """Records of chains of blocks: fronts, events, and what is read off them."""
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import stats
 
-from eqsim.engine.records import PulledRecord
-from eqsim.estimate import Estimate, mean_of
+from eqsim.engine.records import PulledRecord, mean_in_records, with_steps
+from eqsim.estimate import Estimate
 from eqsim.model.chain import Chain
 from eqsim.numerics.tables import Array
 
@@ -45,6 +46,9 @@ class ChainTrajectory(PulledRecord):
         over N k (length squared), and the `replica`. An event goes on while a block
         moves more than twice as fast as the fastest segment of the programme; at least
         one block breaks. It is a precursor unless all blocks do.
+    coarser_events : dict of ndarray
+        Those of the same contacts in steps four times as long; a third of what these
+        change is in the errors of means over events.
     fronts : dict of ndarray
         `fronts_of` the blocks that broke. The errors of speeds include a third of what
         the mean speed changes in steps four times as long.
@@ -55,6 +59,7 @@ class ChainTrajectory(PulledRecord):
     blocks: dict[str, Array]
     broke: dict[str, Array]
     events: dict[str, Array]
+    coarser_events: dict[str, Array]
     fronts: dict[str, Array]
 
     def in_space(self, name: str, replica: int = 0) -> Array:
@@ -63,37 +68,45 @@ class ChainTrajectory(PulledRecord):
         rows = self.blocks[name][replica * size : (replica + 1) * size]
         return np.asarray(rows.reshape(self.t.size, self.chain.count))
 
-    def _of_whole(self, name: str) -> list[Array]:
-        """A column of the events in which all blocks broke, of each replica."""
-        replica, events = self.events["replica"], self.events
-        whole = events["blocks"] == self.chain.count
-        count = int(self.blocks["replica"][-1]) + 1
-        return [events[name][whole & (replica == i)] for i in range(count)]
+    def _mean(
+        self, name: str, of: Callable[[Array], Array], *, whole: bool = True
+    ) -> Estimate:
+        """Mean of the values `of` a column of the events of each replica in which all
+        blocks broke, or did not, with the error of finite steps."""
+        replicas = range(len(self.steps))
+
+        def mean(events: dict[str, Array]) -> Estimate:
+            asked = (events["blocks"] == self.chain.count) == whole
+            columns = (events[name][asked & (events["replica"] == i)] for i in replicas)
+            return mean_in_records([of(column) for column in columns])
+
+        return with_steps(mean(self.events), mean(self.coarser_events))
 
     @cached_property
     def static_friction(self) -> Estimate:
         """Largest force of the springs before events in which all blocks break, over
         N k (length), without the first of each replica, which depends on the start."""
-        return _mean([peak[1:] for peak in self._of_whole("peak")])
+        return self._mean("peak", lambda peak: peak[1:])
 
     @cached_property
     def recurrence(self) -> Estimate:
         """Time from one event in which all blocks break to the next, without the first
         of each replica."""
-        return _mean([np.diff(t[1:]) for t in self._of_whole("t")])
+        return self._mean("t", lambda t: np.diff(t[1:]))
 
     @cached_property
     def drop(self) -> Estimate:
         """Drop of the force of the springs in events in which all blocks break, over
         N k (length), without the first of each replica."""
-        return _mean([drop[1:] for drop in self._of_whole("drop")])
+        return self._mean("drop", lambda drop: drop[1:])
 
     @cached_property
     def precursors(self) -> Estimate:
         """Share of the blocks that break in an event which does not break all, in the
         mean."""
-        length = self.events["blocks"] / self.chain.count
-        return _mean([length[length < 1.0]])
+        return self._mean(
+            "blocks", lambda blocks: blocks / self.chain.count, whole=False
+        )
 
     @cached_property
     def front_speed(self) -> Estimate:
@@ -168,17 +181,6 @@ FRONT = np.dtype(
         ("replica", np.int64),
     ]
 )
-
-
-def _mean(values: list[Array]) -> Estimate:
-    """Mean of values of several replicas, with its error from their scatter."""
-    each = np.concatenate(values)
-    if each.size < 2:
-        return Estimate(
-            float(each[0]) if each.size else None, None, each.size, 0, False
-        )
-    found = mean_of(each, each.size, each.size - 1)
-    return found if each.size >= ENOUGH_EVENTS else replace(found, reliable=False)
 
 
 def fronts_of(broke: dict[str, Array]) -> dict[str, Array]:

@@ -327,15 +327,9 @@ class SliderTrajectory(PulledRecord):
         """Mean of the values `of` each replica's whole slips, with the error of finite
         steps."""
         found = _mean_over(self.slips, of)
-        if self.coarser_slips is None or found.value is None:
+        if self.coarser_slips is None:
             return found
-        coarse = _mean_over(self.coarser_slips, of).value
-        if coarse is None:
-            return replace(found, reliable=False)
-        if found.stderr is None:
-            return found
-        missed = (coarse - found.value) / 3.0
-        return replace(found, stderr=math.hypot(found.stderr, missed))
+        return with_steps(found, _mean_over(self.coarser_slips, of))
 
 
 @dataclass(frozen=True, repr=False)
@@ -402,22 +396,39 @@ def _mean_over(
     slips: Sequence[Slip], of: Callable[[list[Slip]], list[float]]
 ) -> Estimate:
     """Mean of the values `of` the slips of each replica, without its first slip, which
-    depends on the start, and one that the record ends in. Of m whole intervals that fit
-    into a record the mean is shorter by its variance over m times the mean (derived,
-    renewal theory), which is part of the error."""
-    values: list[float] = []
-    records = 0
-    for _, whole in itertools.groupby(slips, key=lambda slip: slip.replica):
-        found = of([slip for slip in whole if slip.ended][1:])
-        values += found
-        records += bool(found)
-    n = len(values)
+    depends on the start, and one that the record ends in."""
+    by_record = itertools.groupby(slips, key=lambda slip: slip.replica)
+    return mean_in_records(
+        [of([slip for slip in whole if slip.ended][1:]) for _, whole in by_record]
+    )
+
+
+def mean_in_records(values: Sequence[Sequence[float] | Array]) -> Estimate:
+    """Mean of the values read off several records. Of m whole intervals that fit into a
+    record the mean is shorter by its variance over m times the mean (derived, renewal
+    theory), which is part of the error."""
+    each = np.array([value for record in values for value in record], float)
+    n = each.size
     if n < 2:
-        return Estimate(values[0] if values else None, None, n, reliable=False)
-    mean, variance = float(np.mean(values)), float(np.var(values, ddof=1))
+        return Estimate(float(each[0]) if n else None, None, n, reliable=False)
+    mean, variance = float(np.mean(each)), float(np.var(each, ddof=1))
+    records = sum(len(record) > 0 for record in values)
     short = variance * records / (n * abs(mean)) if mean else 0.0
     stderr = math.hypot(math.sqrt(variance / n), short)
     return Estimate(mean, stderr, n, n - 1, n >= _ENOUGH_SLIPS)
+
+
+def with_steps(found: Estimate, coarse: Estimate) -> Estimate:
+    """An estimate whose error includes that of finite steps: a third of what changes in
+    steps four times as long, which gave `coarse`. Unreliable if they gave none."""
+    if found.value is None:
+        return found
+    if coarse.value is None:
+        return replace(found, reliable=False)
+    if found.stderr is None:
+        return found
+    missed = (coarse.value - found.value) / 3.0
+    return replace(found, stderr=math.hypot(found.stderr, missed))
 
 
 # Observables of a segment of a programme, some of which are forces, and of a velocity

@@ -517,11 +517,17 @@ def test_means_over_events_and_slip():
         "drop": np.array([9.0, 8.0, 0.1, 0.3, 9.0, 0.2, 8.0, 0.6]),
     }
     X = np.array([[[0.0, 2.0], [0.0, 2.0], [8.0, 2.0]], [[0.0, 4.0]] * 3])
-    found = replace(run, events=events, blocks=run.blocks | {"X": X.ravel()})
-    assert found.static_friction.value == 3.0
-    assert found.static_friction.stderr == pytest.approx(
-        np.std([1, 2, 4, 5], ddof=1) / 2.0, rel=1e-12, abs=0
+    found = replace(
+        run, events=events, coarser_events=events, blocks=run.blocks | {"X": X.ravel()}
     )
+    assert found.static_friction.value == 3.0
+    variance = np.var([1, 2, 4, 5], ddof=1)
+    error = np.hypot(np.sqrt(variance / 4.0), variance * 2.0 / (4.0 * 3.0))
+    assert found.static_friction.stderr == pytest.approx(error, rel=1e-12, abs=0)
+    # steps four times as long change the mean by 6
+    coarse = events | {"peak": events["peak"] + 6.0}
+    stepped = replace(found, coarser_events=coarse).static_friction
+    assert stepped.stderr == pytest.approx(np.hypot(error, 2.0), rel=1e-12, abs=0)
     assert not found.static_friction.reliable
     assert found.recurrence.value == 3.0
     assert found.drop.value == pytest.approx(0.3, rel=1e-12, abs=0)
