@@ -19,6 +19,8 @@ from eqsim import (
     Gamma,
     Table,
     Thermal,
+    Uniform,
+    Weibull,
     reference,
     transient,
 )
@@ -137,6 +139,29 @@ APART = {
     "narrow": (stats.gamma(1e4, scale=1e-4), 0.8),
     "a tail": (stats.pareto(4.5), 0.7),
 }
+
+
+@pytest.mark.parametrize(
+    ("thresholds", "kT", "barrier", "log_omega"),
+    [
+        *(("weibull", 0.5 / 1.1, "stiff", log) for log in (10, 20, 30, 50)),
+        *(("gamma", 0.3, barrier, 10) for barrier in ("soft", "stiff")),
+        ("gamma", 0.3, "soft", 30),
+        ("uniform", 0.3, "stiff", 6),
+    ],
+)
+def test_lives_far_shorter_than_steps(thresholds, kT, barrier, log_omega):
+    """Contacts without delay that heat breaks at once form again until they are strong,
+    up to e^50 times; at constant velocity they have a reference that shares no solver
+    with programmes. Errors are bounds, and 5 % of the greatest force at most."""
+    laws = {"gamma": Gamma(), "weibull": Weibull(2.0), "uniform": Uniform(0.5, 1.5)}
+    thermal = Thermal(kT, math.exp(log_omega), barrier)
+    ensemble = Ensemble(laws[thresholds], thermal, **UNIFORM)
+    found = transient(ensemble, Programme([Segment(1.0, distance=0.5)]), 6)
+    known = transient(ensemble, Drive(1.0, distance=0.5), 6)
+    missed = np.abs(found.force - known.force)
+    assert np.all(missed <= found.force_error + known.force_error)
+    assert found.force_error.max() < 0.05 * known.force.max()
 
 
 @pytest.mark.parametrize("kT", [0.02, 0.3])
