@@ -53,9 +53,8 @@ def static_peak(ensemble: Ensemble, drive: Drive, run: Trajectory) -> Peak | Non
     spread = max(place.stderr or 0.0, 0.5 * extent, missed.X)
     # on a longer plateau the largest of many noisy values is too large
     reliable = run.force_reliable and extent < _PLATEAU * PEAK_WINDOW * period
-    reliable &= (
-        missed.force < _KINK * height
-    )  # else a later one may be higher between points
+    # else a later one may be higher between points
+    reliable &= missed.force < _KINK * height
     lives = run.lives
     return Peak(
         Estimate(where, spread, lives, None, reliable),
