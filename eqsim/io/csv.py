@@ -336,6 +336,8 @@ def written(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Iterator[s
 
 def _name(name: str) -> str:
     plain = name and name == name.strip() and not re.search('["#,;\t\r\n]', name)
+    # "0 A" alone would be read as a number and another cell
+    plain = plain and not (" " in name and re.search(r"\d", name))
     return name if plain else _quoted(name)
 
 

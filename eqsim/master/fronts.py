@@ -253,15 +253,27 @@ def _find_pinned_by_strata(
 
 
 @routine(inline=True)
-def _across(weak: float, strong: float, apart: float, power: float) -> float:
-    """Mean over a stratum of a moment of births, of which its two ends are given: ln z
-    differs by `apart`, and where z is large the moment falls as z^-power. Its logarithm
-    is taken for two straight lines, one of them level."""
-    if not 0.0 < weak < strong:
+def _exponential_integral(table: Array, y: float) -> float:
+    """E_1(e^y); below the table -y - gamma."""
+    if y >= _W_ENDS:
+        return 0.0
+    steps = max(y - W_BEGINS, 0.0) * W_PER_UNIT
+    i, h = min(int(steps), table.shape[0] - 2), 1.0 / W_PER_UNIT
+    u, rise = steps - i, table[i + 1, 1] - table[i, 1]
+    d0 = -math.expm1(-math.exp(W_BEGINS + i * h)) * h
+    d1 = -math.expm1(-math.exp(W_BEGINS + (i + 1) * h)) * h
+    cubic = 3.0 * rise - 2.0 * d0 - d1 + u * (d0 + d1 - 2.0 * rise)
+    return table[i, 1] + u * (d0 + u * cubic) - y - np.euler_gamma
+
+
+@routine(inline=True)
+def _across(weak: float, strong: float, fall: float, apart: float) -> float:
+    """Mean of m = int_0^1 u^p exp(-z u) du, given at the ends of a stratum across which
+    ln z is spread evenly: the integral of m over ln z is -(E_1(z) + m)/(p + 1)
+    (derived). `fall` is that of E_1, and ln z differs by `apart` times p + 1."""
+    if apart < _LEAST_DIFFERENCE:
         return 0.5 * (weak + strong)
-    drop = math.log(strong / weak)
-    bent = max(apart, drop / power)
-    return strong * (1.0 + (-math.expm1(-drop) - drop) / (power * bent))
+    return (strong - weak + fall) / apart
 
 
 @bear.register(Fronts)
@@ -302,28 +314,42 @@ def _bear(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
         j = k + contacts.nodes.size - strata.left.size
         unbroken = _unbroken(strata.left[k], strata.right[k], 0.0, weakest)
         apart = scratch.newer[k] - scratch.newer[j]
-        pinned = _across(share[k], share[j], apart, 1.0)
-        # `observe` takes them at the middle and spread evenly; survivors are younger
-        first = 2.0 * g * _across(age[k], age[j], apart, 2.0)
-        second = 3.0 * g * g * _across(age2[k], age2[j], apart, 3.0)
+        fall = _exponential_integral(contacts.table, scratch.newer[j])
+        fall -= _exponential_integral(contacts.table, scratch.newer[k])
+        weak, strong = ages_of_survivors(z[k]), ages_of_survivors(z[j])
+        # the means if z grew evenly with age over the whole step
+        pinned = _across(weak.share, strong.share, fall, apart)
+        weak1, strong1 = weak.share * weak.age, strong.share * strong.age
+        first = _across(weak1, strong1, fall, 2.0 * apart)
+        weak2, strong2 = weak.share * weak.age2, strong.share * strong.age2
+        second = _across(weak2, strong2, fall, 3.0 * apart)
+        if contacts.growth.ages:
+            pinned *= 0.5 * (share[k] / weak.share + share[j] / strong.share)
+            first *= 0.5 * (age[k] / weak1 + age[j] / strong1)
+            second *= 0.5 * (age2[k] / weak2 + age2[j] / strong2)
         cohort.pinned += unbroken * strata.share[0, k] * pinned
-        cohort.stiffness += unbroken * strata.share[1, k] * first
-        cohort.stiffness2 += unbroken * strata.share[2, k] * second
+        # `observe` takes them at the middle and spread evenly; survivors are younger
+        cohort.stiffness += unbroken * strata.share[1, k] * 2.0 * g * first
+        cohort.stiffness2 += unbroken * strata.share[2, k] * 3.0 * g * g * second
 
 
 @routine
-def _raise_newer(older: Array, newer: Array, log_ages: float) -> None:
-    """Raise ln z at the newer edge of a young cohort, so that a plane of ln z up to the
-    older edge has the mean of a z that grows evenly with age, as far as z does so
-    between the ages of the edges, whose ratio has the logarithm `log_ages`. The newer
-    over the older z, r, is from (1 - r)/-ln r = (1 + sqrt(r))^2/6 + sqrt(r)/3, which is
-    1e-3 off at most (derived)."""
+def _even_young(older: Array, newer: Array, log_ages: float) -> None:
+    """Move ln z at both edges of a young cohort so that z, whose logarithm is taken for
+    a plane between them, has the mean and the variance of one that grows evenly with
+    age, as far as it does so between the ages of the edges, whose ratio has the
+    logarithm `log_ages`. With the ratio s of its variance to its squared mean m and c =
+    m (1 + s), the edges are c (1 -+ tanh t), tanh(t)/t = 1/(1 + s) (derived), to 1e-3
+    of t here."""
     for k in range(newer.size):
-        power = (older[k] - newer[k]) / log_ages
+        power, share = (older[k] - newer[k]) / log_ages, math.exp(newer[k] - older[k])
         if power < 2.0:
-            share = math.exp(newer[k] - older[k])
-            even = older[k] + 2.0 * math.log(math.sqrt(6.0 + 3.0 * share) - 2.0)
-            newer[k] += min(2.0 - power, 1.0) * max(even - newer[k], 0.0)
+            mean, even = 0.5 + 0.5 * share, min(2.0 - power, 1.0)
+            ratio = (1.0 - share) ** 2 / (12.0 * mean * mean)
+            t = math.sqrt(15.0 * ratio / (5.0 - ratio))
+            middle = older[k] + math.log(mean * (1.0 + ratio) / math.cosh(t))
+            older[k] += even * (middle + t - older[k])
+            newer[k] += even * (middle - t - newer[k])
 
 
 @carry.register(Fronts)
@@ -332,8 +358,11 @@ def _carry(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None
     _add_hazard(contacts, cohort, z, step)
     _logarithms(z, scratch.older)
     young, width = step.t1 - cohort.t_last, cohort.t_last - cohort.t_first
+    older = scratch.older
     if young < _YOUNG * width:
-        _raise_newer(scratch.older, scratch.newer, math.log1p(width / young))
+        older = scratch.before
+        copy(scratch.older, older)
+        _even_young(older, scratch.newer, math.log1p(width / young))
     g = growth(contacts.growth.law, step.t1 - 0.5 * (cohort.t_first + cohort.t_last))
-    _find_pinned_by_strata(contacts, cohort, scratch.older, scratch.newer, g)
+    _find_pinned_by_strata(contacts, cohort, older, scratch.newer, g)
     copy(scratch.older, scratch.newer)

@@ -488,7 +488,7 @@ def solutions_of(
         off = np.abs(np.array(best) - coarse) + 0.5 * off
     # X where one solution has let go before another is not known
     unsure = np.isnan(off) & ~np.isnan(np.array(best))
-    errors = largest_nearby(np.nan_to_num(off), 5 + off.shape[1] // 50)
+    errors = largest_nearby(np.nan_to_num(off), 5 + off.shape[1] // 20)
     errors += bent
     errors += 1e-6 * np.abs(np.nan_to_num(best)).max(axis=1, keepdims=True)
     for kind, numerics, scale in task.parts:

@@ -9,7 +9,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from eqsim.errors import InputError
@@ -223,6 +223,7 @@ def read_as(cell, value):
 
 @settings(max_examples=150, deadline=None)
 @given(tables())
+@example(pa.table({"0 A": pa.array([], pa.float64())}))
 def test_what_is_exported_is_read_again(tmp_path_factory, table):
     folder = tmp_path_factory.getbasetemp()
     pq.write_table(table, folder / "t.parquet")

@@ -153,7 +153,7 @@ APART = {
 def test_lives_far_shorter_than_steps(thresholds, kT, barrier, log_omega):
     """Contacts without delay that heat breaks at once form again until they are strong,
     up to e^50 times; at constant velocity they have a reference that shares no solver
-    with programmes. Errors are bounds, and 5 % of the greatest force at most."""
+    with programmes. Errors are bounds, and 10 % of the greatest force at most."""
     laws = {"gamma": Gamma(), "weibull": Weibull(2.0), "uniform": Uniform(0.5, 1.5)}
     thermal = Thermal(kT, math.exp(log_omega), barrier)
     ensemble = Ensemble(laws[thresholds], thermal, **UNIFORM)
@@ -161,7 +161,7 @@ def test_lives_far_shorter_than_steps(thresholds, kT, barrier, log_omega):
     known = transient(ensemble, Drive(1.0, distance=0.5), 6)
     missed = np.abs(found.force - known.force)
     assert np.all(missed <= found.force_error + known.force_error)
-    assert found.force_error.max() < 0.05 * known.force.max()
+    assert found.force_error.max() < 0.1 * known.force.max()
 
 
 @pytest.mark.parametrize("kT", [0.02, 0.3])
