@@ -62,11 +62,12 @@ def option(name: str, kind: Any, about: Any, begins: Any) -> tuple[str, str]:
         if needed or begins is None or given.startswith("["):
             return f"`{given}`", meaning
         return f"`[{given}]`", f"{meaning} Default: `{begins}`."
+    # of Annotated
     first = (
         (about.default,)
         if isinstance(about.default, str) and about.default.startswith("-")
         else ()
-    )  # of Annotated
+    )
     declared = (*first, *(about.param_decls or ())) or (f"--{name.replace('_', '-')}",)
     names = [part for one in declared for part in one.split("/")]
     kinds = [part for part in parts(kind) if part is not types.NoneType]

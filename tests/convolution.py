@@ -208,9 +208,8 @@ def _solved(c: Contacts, h: float, cells: int) -> tuple[np.ndarray, np.ndarray]:
         late = np.where(np.arange(cells + 1) < at, 1.0, 0.0)
         late[[0, at]] = 0.5 if at else 0.0  # the mean of both sides of a jump
     cycle = fftconvolve(life, wait)[: cells + 1]
-    again = _inverse(
-        np.append(1.0 - cycle[0], -cycle[1:])
-    )  # all births, the first ones at 0 included
+    # all births, the first ones at 0 included
+    again = _inverse(np.append(1.0 - cycle[0], -cycle[1:]))
     breaks = fftconvolve(again, life)[: cells + 1]
     detached = fftconvolve(breaks, late)[: cells + 1]
     force = fftconvolve(again, lives.force[: cells + 1])[: cells + 1]

@@ -93,9 +93,8 @@ def largest_success(sled, xi, k, low, high):
     """The largest of these probabilities for stretches from `low` to `high`."""
     if not sled.stiff:
         return success(sled, xi, k, np.minimum(high, xi * (1.0 - 1e-12)))
-    top = xi * (
-        1.0 - (2.0 * sled.kT / (3.0 * k * xi**2)) ** (2.0 / 3.0)
-    )  # where sqrt(u) exp(-a u^1.5) is greatest
+    # where sqrt(u) exp(-a u^1.5) is greatest
+    top = xi * (1.0 - (2.0 * sled.kT / (3.0 * k * xi**2)) ** (2.0 / 3.0))
     return success(sled, xi, k, np.clip(top, low, np.minimum(high, xi)))
 
 

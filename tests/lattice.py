@@ -72,12 +72,12 @@ def history(law, h, legs, rate=None, delay=0.0, exponential=False):
     each = rate is not None and np.ndim(rate(np.zeros(1))) == 2
     thresholds = law.share.size
     by_kappa = law.share * law.kappa ** np.arange(3)[:, None]
+    # of those > j h
     above = np.array(
         [np.append(part[::-1].cumsum()[::-1][1:], 0.0) for part in by_kappa]
-    )  # of those > j h
-    alive = np.zeros(
-        (steps + 1, thresholds if each else 1)
-    )  # births times thermal survival
+    )
+    # births times thermal survival
+    alive = np.zeros((steps + 1, thresholds if each else 1))
     alive[0] = 1.0
     greatest = np.zeros(steps + 1, int)
     due = np.zeros(steps + 2)  # births that wait, by instant

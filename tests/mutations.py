@@ -1525,9 +1525,8 @@ class Copy:
             return "SURVIVED", ""
         finally:
             path.write_bytes(source)
-            os.utime(
-                path, ns=(times.st_atime_ns, times.st_mtime_ns)
-            )  # kernels of this file are still known
+            # kernels of this file are still known
+            os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
             if kept:
                 shutil.rmtree(kept, ignore_errors=True)
 

@@ -115,9 +115,8 @@ def is_run(text: str) -> bool:
 
 def plain(output: str) -> str:
     """An output without what differs from run to run and from machine to machine."""
-    output = re.sub(
-        r"^about .+ to go: .+\n", "", output, flags=re.MULTILINE
-    )  # of what takes long
+    # of what takes long
+    output = re.sub(r"^about .+ to go: .+\n", "", output, flags=re.MULTILINE)
     output = re.sub(r"\d[\d.]* ?[kMG]?/s", "#/s", output)
     output = re.sub(r"\d[\d.]* (s|ms|min)\b", "# s", output)
     output = re.sub(r"\b\d+ (threads?|workers?)\b", r"# \1", output)

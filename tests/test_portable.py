@@ -243,9 +243,8 @@ def test_last_bits_of_tables_change_no_draw(name, monkeypatch):
 
 FEATURES = [name for name in built.__cpu_dispatch__ if built.__cpu_features__[name]]
 PLAIN = {"NPY_DISABLE_CPU_FEATURES": " ".join(FEATURES), "OPENBLAS_CORETYPE": "Nehalem"}
-PLAIN |= {
-    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX512F,-AVX2,-FMA,-FMA4"
-}  # other exponentials, too
+# other exponentials, too
+PLAIN |= {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX512F,-AVX2,-FMA,-FMA4"}
 X86 = platform.machine() in ("x86_64", "AMD64")
 OLD = PLAIN | {
     "NUMBA_CPU_NAME": "x86-64-v2" if X86 else "generic",

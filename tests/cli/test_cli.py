@@ -195,9 +195,10 @@ def test_steady_and_info(run_file):
             "info", run_file, "--json", "--set", "contacts.stiffness_law=uniform"
         ).stdout
     )["v_*"]
+    # nt12
     assert exact == pytest.approx(
         3 * np.sqrt(np.pi) / 4 * (1 + 5 / 3) / 36, rel=1e-9, abs=0
-    )  # nt12
+    )
     assert "annealed ensemble" in call("info", run_file).output
 
 
@@ -219,9 +220,8 @@ def test_long_estimates_say_how_long(run_file, monkeypatch):
     for both in calls:
         progress(*both)
     assert told == calls
-    assert notes == [
-        "about 50 s to go: 1 M lives at 20 k/s"
-    ]  # and 20 s are none worth a note
+    # and 20 s are none worth a note
+    assert notes == ["about 50 s to go: 1 M lives at 20 k/s"]
     monkeypatch.undo()
     monkeypatch.setattr(terminal, "LONG_ATTEMPT", 0.0)
     args = ("steady", run_file, "--rel-error", "2e-5")
@@ -433,10 +433,8 @@ def test_bad_files(tmp_path, run_file):
 def test_unwritable_folder(run_file, tmp_path):
     dangling = tmp_path / "dangling"
     dangling.symlink_to(tmp_path / "nowhere" / "at all")
-    lives = [
-        "--set",
-        "contacts.count=1000000000000",
-    ]  # what is refused first needs no such work
+    # what is refused first needs no such work
+    lives = ["--set", "contacts.count=1000000000000"]
     for out in (dangling, dangling / "below"):
         result = call("run", run_file, "--out", out, *lives)
         assert result.exit_code == 2
@@ -565,11 +563,8 @@ def test_reference_curves(tmp_path):
         assert again.exit_code == 0, again.output
         shutil.rmtree(tmp_path / "o")
     assert call("reference", path, "--transient", "--quiet").exit_code == 0
-    assert tree(tmp_path / "out") == [
-        "a",
-        "a/transient.parquet",
-        "a/transient.png",
-    ]  # where `run` puts its results
+    # where `run` puts its results
+    assert tree(tmp_path / "out") == ["a", "a/transient.parquet", "a/transient.png"]
     for option in (("--out", tmp_path / "o"), ("--format", "pdf")):
         assert (
             "is for the table and the picture of --transient"

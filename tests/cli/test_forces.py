@@ -150,9 +150,8 @@ def test_a_run_under_a_force_tells_when_it_lets_go(tmp_path):
     strength = call("run", path, "--json", "--out", tmp_path / "out").stdout
     found = json.loads(strength)["strength"]
     assert abs(found["value"] - 0.5 * json.loads(strength)["lifetime"]["value"]) < 1e-12
-    assert (
-        0.95 < found["value"] / bursts(path).strength < 1.05
-    )  # a weakest link, N = 5000
+    # a weakest link, N = 5000
+    assert 0.95 < found["value"] / bursts(path).strength < 1.05
 
 
 HELD = """

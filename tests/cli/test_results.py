@@ -291,11 +291,8 @@ def test_pictures_of_averages(results):
     axes = found.plot(reference=exact)
     z = axes.containers[0][0].get_xdata()
     names = [label.get_text().partition("\n")[0] for label in axes.get_yticklabels()]
-    assert names == [
-        "friction",
-        "break stretch",
-        "force variance",
-    ]  # pinned is 1 exactly
+    # pinned is 1 exactly
+    assert names == ["friction", "break stretch", "force variance"]
     for value, name in zip(
         z, ("friction", "break_stretch", "force_variance"), strict=True
     ):

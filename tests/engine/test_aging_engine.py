@@ -85,10 +85,11 @@ def test_deviates_of_a_step(n):
         scipy.stats.kstest(found[:, 1], scipy.stats.chi2(2 * n + 1).cdf).pvalue > RARE
     )
     assert scipy.stats.kstest(found[:, 2], "uniform").pvalue > RARE
+    # control
     assert (
         scipy.stats.kstest(found[:, 1], scipy.stats.chi2(2.1 * n + 1.1).cdf).pvalue
         < RARE
-    )  # control
+    )
     for i, j in ((0, 1), (0, 2), (1, 2)):
         for power in (1, 2):
             assert (
@@ -119,10 +120,8 @@ def bridged(n, final, mobility, xi, x, h, end, bare, paths=20_000, cells=200):
     )
     walk = np.concatenate((np.zeros((paths, 1)), walk), axis=1)
     y = xi + walk - share * walk[:, -1:] + share * (end - xi)
-    gap, safe = (
-        y - x - share * h,
-        np.maximum(y, 0.05),
-    )  # what falls so low has met the stretch long before
+    # what falls so low has met the stretch long before
+    gap, safe = (y - x - share * h, np.maximum(y, 0.05))
     drift = mobility * ((2 * n + 1) / safe - 2 * safe / final**2)
     slope = mobility * (-(2 * n + 1) / safe**2 - 2 / final**2)
     weight = np.exp(
@@ -178,17 +177,15 @@ def test_when_a_passage_comes(gap, ahead, length):
     drawn = np.array(
         [meeting(c, path, length, 1.0 + length + ahead)[:2] for path in paths]
     )
-    np.testing.assert_allclose(
-        drawn[:, 1], 1.0 + drawn[:, 0], rtol=1e-15
-    )  # one sum, rounded
+    # one sum, rounded
+    np.testing.assert_allclose(drawn[:, 1], 1.0 + drawn[:, 0], rtol=1e-15)
     u = np.linspace(-30.0, 30.0, 4001)  # logarithm of t/(L - t)
     t, rest = length / (1 + np.exp(-u)), length / (1 + np.exp(u))
 
     def p_value(mobility):
         exponent = (gap * gap / t + ahead * ahead / rest) / (4 * mobility)
-        density = (
-            np.exp(-exponent + exponent.min()) / np.sqrt(t * rest) / t * t * rest
-        )  # per unit of u
+        # per unit of u
+        density = np.exp(-exponent + exponent.min()) / np.sqrt(t * rest) / t * t * rest
         cdf = np.cumsum(density)
         return scipy.stats.kstest(
             np.log(drawn[:, 0] / (length - drawn[:, 0])),
@@ -498,9 +495,8 @@ def test_paths_side_by_side_as_one_by_one(path):
         paths = Paths(contact, number, births[part], clocks[part], travel, work)
         walk_all(c, stream, STEP, paths, Walkers.empty())
         np.testing.assert_array_equal((travel, work), single[:, part])
-    assert np.all(
-        _one_by_one(c, stream, 6, births, clocks)[0] != single[0]
-    )  # control: other contacts
+    # control: other contacts
+    assert np.all(_one_by_one(c, stream, 6, births, clocks)[0] != single[0])
 
 
 @pytest.mark.verification
@@ -750,10 +746,11 @@ def test_grids_of_steps():
     exact = reference(RUNS["langevin sqrt"], Drive(1.0))
     for points in (2, 401):
         result = run("langevin sqrt", "stationary", points)
+        # 802 scores
         assert (
             scores(result, exact.friction.value, exact.pinned.value, STEPS).max()
             < LIMIT + 0.5
-        )  # 802 scores
+        )
         late = result.averages.friction
         assert abs(late.value - exact.friction.value) < LIMIT * late.stderr + STEPS
 

@@ -128,9 +128,8 @@ def one_by_one(elastic, n, until):
 def test_avalanches_one_by_one(elastic, monkeypatch):
     """In another order of breaks, with the inverse matrix. Some hundred kicks, rounded
     to 1e-14 each."""
-    monkeypatch.setattr(
-        "eqsim.engine.avalanches._ROOM", 3
-    )  # the kernel is called again
+    # the kernel is called again
+    monkeypatch.setattr("eqsim.engine.avalanches._ROOM", 3)
     expected = np.array(one_by_one(elastic, 8, 15.0))
     found = interface(8 * elastic.count, 15.0, elastic, points=2).avalanches
     assert expected[:, 2].sum() > 40
@@ -684,9 +683,8 @@ def test_sweep(path, tmp_path):
     table = pd.read_parquet(tmp_path / "out" / "sweep.parquet")
     assert table["elastic.coupling"].tolist() == [0.0, 2.0]
     assert set(table["status"]) == {"ok"}
-    assert (
-        table[["friction_z", "size_z", "single_z"]].abs().to_numpy().max() < 5.5
-    )  # n = 100 is not infinite
+    # n = 100 is not infinite
+    assert table[["friction_z", "size_z", "single_z"]].abs().to_numpy().max() < 5.5
     assert set(table["size_reference"]) == {3.0}
     assert (
         call("replay", tmp_path / "out" / "sweep.parquet", "--threads", "1").exit_code

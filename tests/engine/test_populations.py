@@ -193,10 +193,8 @@ def test_two_thresholds_in_closed_form():
         ],
     )
     exact = reference(contacts, Drive(0.5), variance=True)
-    forces = (
-        0.25 * 2.0 * 0.5,
-        0.75 * 0.5 * (8.0 / 5.0),
-    )  # per contact, in units of force
+    # per contact, in units of force
+    forces = (0.25 * 2.0 * 0.5, 0.75 * 0.5 * (8.0 / 5.0))
     k = 0.25 * 2.0 + 0.75 * 0.5
     assert exact.friction.value == pytest.approx(sum(forces) / k, rel=1e-12, abs=0)
     assert exact.pinned.value == pytest.approx(0.25 + 0.75 * 0.8, rel=1e-12, abs=0)

@@ -39,11 +39,8 @@ leave_ramps, join_ramps = compiled(recorder.leave_ramps), compiled(recorder.join
 leave_span = compiled(segments.leave_span)
 cross_edges = compiled(segments.cross_edges)
 
-CONTACTS, DISTANCE, UNIT = (
-    40,
-    10.0,
-    2.0**40,
-)  # fixed point: 1e-12, of numbers up to some hundred and thousand
+# fixed point: 1e-12, of numbers up to some hundred and thousand
+CONTACTS, DISTANCE, UNIT = (40, 10.0, 2.0**40)
 ROUNDING = 1e-9  # of sums of a few hundred of them, and of squares that cancel
 UNSTRESSED = contacts(Ensemble(), 1.0)
 

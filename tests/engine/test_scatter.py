@@ -37,9 +37,8 @@ from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY, key
 
 UNIFORM = {"stiffness_law": "uniform"}
-LATE = Ensemble(
-    thermal=Thermal(0.1), delay=Delay(5.0)
-)  # at v = 1 hardly a contact is pinned before X = 5
+# at v = 1 hardly a contact is pinned before X = 5
+LATE = Ensemble(thermal=Thermal(0.1), delay=Delay(5.0))
 HOT = Ensemble(thermal=Thermal(1.0))  # heavy-tailed at v = 1e-3
 BROAD = Distribution(scipy.stats.lognorm(1.0))
 CASES = {
@@ -166,10 +165,8 @@ def test_scatter_of_the_sample_is_no_error_of_few():
         60,
         21,
     )
-    force, i = (
-        np.array([run.force for run in runs]),
-        12,
-    )  # X = 3: 0.008 contacts of each ensemble are pinned
+    # X = 3: 0.008 contacts of each ensemble are pinned
+    force, i = (np.array([run.force for run in runs]), 12)
     exact = transient(LATE, Drive(1.0, 5.0), points=21).force[i]
     assert np.all(force[:, i] == 0.0) or force[:, i].max() > 10 * exact
     assert np.all(abs(z) < 5)
@@ -196,9 +193,8 @@ def test_one_contact_of_a_stationary_start():
     spread = fluctuations(ensemble, Drive(0.1, 1.0), points=2).covariance[0]
     np.testing.assert_allclose(run.force_stderr, run.force_stderr[0], rtol=1e-9)
     square = spread + reference(ensemble, Drive(0.1)).friction.value ** 2
-    assert (
-        spread < run.force_stderr[0] ** 2 < spread + 4 * square
-    )  # one that was not met is added
+    # one that was not met is added
+    assert spread < run.force_stderr[0] ** 2 < spread + 4 * square
 
 
 @pytest.mark.verification

@@ -168,9 +168,8 @@ def test_agrees_with_small_steps():
     )
     coarse, fine = (twin(ensemble, stage, 0.1, 12.0, dt, 12) for dt in (2e-3, 1e-3))
     found = pulled(ensemble, 12.0, stage, 13).X
-    allowed = (
-        2.0 * np.max(np.abs(fine - coarse)) + 2.0 / ensemble.count
-    )  # a break more or less
+    # a break more or less
+    allowed = 2.0 * np.max(np.abs(fine - coarse)) + 2.0 / ensemble.count
     assert allowed < 0.012
     assert np.max(np.abs(found - fine)) < allowed
     other = pulled(ensemble, 12.0, replace(stage, preload=7.0), 13).X
@@ -210,9 +209,8 @@ def test_energy_and_threads(ensemble, stage, monkeypatch):
     )
     assert np.abs(missing).max() < 1e-3 * dissipated.max()
     assert dissipated.max() > 0.1
-    monkeypatch.setattr(
-        "eqsim.engine.slider._BLOCKS_PER_THREAD", 3
-    )  # as if the contacts were many
+    # as if the contacts were many
+    monkeypatch.setattr("eqsim.engine.slider._BLOCKS_PER_THREAD", 3)
     same = pulled(ensemble, 150.0, stage, 61, 0.3, threads=2)
     assert same.columns().keys() == found.columns().keys()
     for name, column in found.columns().items():
@@ -475,9 +473,8 @@ def avalanches_one_by_one(n, kappa, until):
 
 @pytest.mark.parametrize("kappa", [2.0, 0.1])
 def test_avalanches_one_by_one(kappa, monkeypatch):
-    monkeypatch.setattr(
-        "eqsim.engine.avalanches._ROOM", 3
-    )  # the kernel is called again
+    # the kernel is called again
+    monkeypatch.setattr("eqsim.engine.avalanches._ROOM", 3)
     expected = avalanches_one_by_one(40, kappa, 12.0)
     found = pulled(
         Ensemble(count=40, **UNIFORM), 12.0, Stage(kappa), 5, velocity=1.0

@@ -56,16 +56,8 @@ LAWS = {
     ),
     "mechanical": Ensemble(**UNIFORM),
 }
-VELOCITIES = (
-    0.0,
-    1e-300,
-    1e-30,
-    1e-18,
-    1e-16,
-    3e-16,
-    1e-12,
-    0.1,
-)  # of a slider, over the pace
+# of a slider, over the pace
+VELOCITIES = (0.0, 1e-300, 1e-30, 1e-18, 1e-16, 3e-16, 1e-12, 0.1)
 follow, passed = compiled(spend), compiled(spent)
 
 
@@ -453,9 +445,8 @@ def test_stretched_births_and_slow_starts():
 def test_paths_in_slow_segments():
     """Fluctuating thresholds under the sqrt law, whose steps end where the force is
     recorded: a motion of 1e-18."""
-    aging = Aging(
-        "langevin", 1e-14, 1.0
-    )  # at the pace of a slow segment others relax too often to be followed
+    # at the pace of a slow segment others relax too often to be followed
+    aging = Aging("langevin", 1e-14, 1.0)
     ensemble = Ensemble(thermal=SOFT, aging=aging, count=2000)
     found, error = ends(ensemble, [Segment(1e-18, time=20.0)], 1)
     exact, missing = ends(

@@ -156,9 +156,8 @@ def test_parameter_sets_at_one_seed_are_independent(changed, plain):
 def test_negative_controls(name, wrong):
     """One thing wrong, some by 2 %: the same score must cry out."""
     row = REFERENCE[REFERENCE.id == name].iloc[0]
-    rel_error = (
-        1e-4 if row.rule == "flow" and row.disorder == "quenched" else 1e-5
-    )  # lives along a flow take long
+    # lives along a flow take long
+    rel_error = 1e-4 if row.rule == "flow" and row.disorder == "quenched" else 1e-5
     found = scores(
         row,
         steady(
@@ -420,11 +419,12 @@ def test_low_velocity_limits():
     annealed = steady(pooled, Drive(v), rel_error=1e-5)
     assert abs(z_score(annealed.friction, v * 4.0)) < 4.5
     for barrier in ("soft", "stiff"):
+        # b = 0.2
         quenched = steady(
             Ensemble(thermal=Thermal(2.5, 1.0, barrier), stiffness_law="uniform"),
             Drive(v),
             rel_error=1e-5,
-        )  # b = 0.2
+        )
         assert abs(z_score(quenched.friction, v * (0.8 / 0.6) ** 2)) < 4.5
 
 
@@ -579,9 +579,8 @@ def test_halves_that_differ_drift(apart, drifting):
     error = np.std(difference, ddof=1) / 8.0
     each[:, 1] += apart * error - difference.mean()
     assert drifts(10.0 + each, np.ones((64, 2)), sigmas=4.0) == drifting
-    assert drifts(
-        10.0 + each, np.array([1.0, 0.0]) + np.zeros((64, 2)), sigmas=4.0
-    )  # nothing there to compare
+    # nothing there to compare
+    assert drifts(10.0 + each, np.array([1.0, 0.0]) + np.zeros((64, 2)), sigmas=4.0)
 
 
 def test_averages_of_known_sums():

@@ -93,9 +93,8 @@ def test_identical_contacts_are_deterministic():
         points=100,
     )
     phase = np.mod(result.X, 2.5)
-    here = (
-        (abs(phase - 2.0) > 1e-9) & (abs(phase - 2.5) > 1e-9) & (phase > 1e-9)
-    )  # away from the jumps
+    # away from the jumps
+    here = (abs(phase - 2.0) > 1e-9) & (abs(phase - 2.5) > 1e-9) & (phase > 1e-9)
     expected = np.where(phase < 2.0, phase, 0.5 * 2.0 / 4.0)
     np.testing.assert_allclose(result.force[here], expected[here], rtol=1e-9)
     np.testing.assert_array_equal(result.pinned[here], (phase < 2.0)[here])

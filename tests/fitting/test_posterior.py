@@ -20,11 +20,8 @@ from eqsim.fitting.model import Problem
 from eqsim.fitting.section import NormalPrior, Parameter
 
 KEYS = ("thermal.kT", "thermal.attempt_frequency")
-MEAN, SD, UPPER = (
-    np.array([1.0, 3.0]),
-    np.array([0.5, 2.0]),
-    4.0,
-)  # the second variable ends half a sd above its mean
+# the second variable ends half a sd above its mean
+MEAN, SD, UPPER = (np.array([1.0, 3.0]), np.array([0.5, 2.0]), 4.0)
 
 
 class Logarithms:

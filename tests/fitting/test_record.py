@@ -301,9 +301,8 @@ def test_given_steps_make_predictions_smooth():
     rough = replace(problem, forward=few)
     changes = problem.changes(problem.start)
     own, given = (one.forward.predict(changes)[0] for one in (rough, problem))
-    np.testing.assert_allclose(
-        given, own, rtol=1e-12, atol=0
-    )  # rounding, 1e-16 in each of some hundred steps
+    # rounding, 1e-16 in each of some hundred steps
+    np.testing.assert_allclose(given, own, rtol=1e-12, atol=0)
     assert change(problem, 1, 0.05) < 2e-3
     assert change(rough, 1, 0.05) > 2e-3  # which own steps do not keep
     far = {"drive.stage.stiffness": 0.05, "aging.beta": 0.5}

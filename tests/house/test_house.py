@@ -328,9 +328,8 @@ def test_mistakes_in_kernels_are_judged_beside_kernels_that_have_them():
         )
         assert not mutations.is_compiled(file.body[-1], mutations.compilers(file)), head
     named = {mistake.name: mistake for mistake in mutations.MISTAKES}
-    assert mutations.needs_kernels(
-        named["lives: both rounds alike at T > 0"]
-    )  # of a routine that kernels share
+    # of a routine that kernels share
+    assert mutations.needs_kernels(named["lives: both rounds alike at T > 0"])
     assert not mutations.needs_kernels(named["gamma: rms threshold"])
 
 

@@ -237,9 +237,10 @@ def test_units(made, tmp_path):
         "(mN/um)",
     )
     table = pd.read_parquet(tmp_path / "swept")
+    # N k = 100 mN/um
     np.testing.assert_allclose(
         table["friction_force"], 100 * table["friction"], rtol=1e-14
-    )  # N k = 100 mN/um
+    )
     np.testing.assert_allclose(
         table["shear_stress"], table["friction_force"] * 1e-3 / 1e-12, rtol=1e-14
     )

@@ -106,9 +106,8 @@ def test_crossover_velocity_is_nt12_and_its_large_b_limit(material):
     assert v_star == pytest.approx(published.v_star, rel=1e-9, abs=0)
     large_b = material.attempt_frequency * material.x_star / (3 * C_0 * material.b())
     assert v_star / large_b - 1 == pytest.approx(1 / material.b(), abs=2e-9)
-    assert v_star != pytest.approx(
-        large_b * C_0, rel=0.1, abs=0
-    )  # a wrong constant would be seen
+    # a wrong constant would be seen
+    assert v_star != pytest.approx(large_b * C_0, rel=0.1, abs=0)
 
 
 def test_printed_large_b_estimate():
@@ -528,9 +527,10 @@ def test_arrhenius():
     is 7.736 k_B T at 300 K."""
     energy = 0.2 * ELECTRON_VOLT
     tau, D = ArrheniusTime(1e-12, energy), ArrheniusRate(1e-9, energy)
+    # k_B in eV/K
     assert math.log(tau.value(300.0) / 1e-12) == pytest.approx(
         0.2 / 8.617333e-5 / 300, rel=1e-7, abs=0
-    )  # k_B in eV/K
+    )
     assert D.value(300.0) / 1e-9 == pytest.approx(
         1e-12 / tau.value(300.0), rel=1e-12, abs=0
     )
@@ -595,9 +595,8 @@ def test_committed_run_files(name, velocity, disorder):
     assert ensemble == material.ensemble(disorder=disorder)
     assert drive.velocity == velocity
     assert drive.distance == pytest.approx(20 * material.x_star, rel=1e-14, abs=0)
-    assert not re.search(
-        r"0{9}[1-9]|9{9}", "".join(lines)
-    )  # 0.4, not 0.39999999999999997
+    # 0.4, not 0.39999999999999997
+    assert not re.search(r"0{9}[1-9]|9{9}", "".join(lines))
     velocities = [point["drive.velocity"] for point in Plan(file).axes[0]]
     assert len(velocities) == 21
     assert (

@@ -384,9 +384,8 @@ def test_tables_of_forces(tmp_path):
         ensemble = file.ensemble
         stretch = ensemble.thresholds.steps
         stiffness = 2.0 * relative_stiffness(law, stretch, ensemble.thresholds.rms)
-        np.testing.assert_allclose(
-            stiffness * stretch, forces, rtol=1e-14, atol=0
-        )  # ten roundings of 1e-16
+        # ten roundings of 1e-16
+        np.testing.assert_allclose(stiffness * stretch, forces, rtol=1e-14, atol=0)
     with pytest.raises(InputError, match="quantity = 'force': not allowed with law"):
         _ = check({"thresholds": {"quantity": "force"}}).ensemble
 

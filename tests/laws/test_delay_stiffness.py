@@ -93,18 +93,20 @@ def test_exponential_draws():
     """KS over 5e4 draws, p > 1e-5 (as everywhere in this file; six tests, false alarm
     4e-5 together)."""
     assert ks(draws(delay_draw, "exponential"), Delay(MEAN, "exponential").cdf) > 1e-5
+    # negative control
     assert (
         ks(draws(delay_draw, "exponential"), Delay(1.05 * MEAN, "exponential").cdf)
         < 1e-5
-    )  # negative control
+    )
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_residual_draws(law):
     assert ks(draws(residual_delay_draw, law), Delay(MEAN, law).residual_cdf) > 1e-5
+    # negative control
     assert (
         ks(draws(residual_delay_draw, law), Delay(MEAN, OTHER[law]).residual_cdf) < 1e-5
-    )  # negative control
+    )
 
 
 @pytest.mark.parametrize(
@@ -144,9 +146,8 @@ def test_sqrt_law_makes_forces_gamma(n):
     xi = law.inverse_survival(-np.log(UNIFORMS))
     gamma = scipy.stats.gamma(n + 1, scale=law.rms / (n + 1))
     assert ks(relative_stiffness("sqrt", xi, law.rms) * xi, gamma.cdf) > 1e-5
-    assert (
-        ks(relative_stiffness("uniform", xi, law.rms) * xi, gamma.cdf) < 1e-5
-    )  # negative control
+    # negative control
+    assert ks(relative_stiffness("uniform", xi, law.rms) * xi, gamma.cdf) < 1e-5
 
 
 def test_kernel_stiffness():

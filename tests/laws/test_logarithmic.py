@@ -223,12 +223,13 @@ def test_root_is_lamberts():
             )
 
 
+# kappa = slope xi + constant
 PATHS = [
     ("soft", 1.0, 0.0),
     ("soft", 0.0, 1.0),
     ("stiff", 1.0, 0.0),
     ("stiff", 0.0, 1.0),
-]  # kappa = slope xi + constant
+]
 
 
 def hazard(law, path, b, log_w, xi0, x):

@@ -182,10 +182,8 @@ POWER = {"stiff": 1.5, "cusp": 2.0}
 
 def passed(barrier, a, xi, x):
     """int_0^x r, odd in x, in 50 digits."""
-    sign, x = (
-        mpmath.sign(x),
-        min(abs(x), xi),
-    )  # where it breaks mechanically x is rounded
+    # where it breaks mechanically x is rounded
+    sign, x = (mpmath.sign(x), min(abs(x), xi))
     if barrier == "soft":
         root = mpmath.sqrt(a)
         return (

@@ -212,9 +212,8 @@ def round_trip(barrier, xi, a, log_w, clock):
     allowed = relative * steepness + 16 * EPS * (
         1 + np.abs(log_w) + a * xi**2 + np.abs(np.log(clock))
     )
-    missed = np.where(
-        inside, np.abs(residual), np.maximum(residual, 0.0)
-    )  # a clock may show more than H(xi)
+    # a clock may show more than H(xi)
+    missed = np.where(inside, np.abs(residual), np.maximum(residual, 0.0))
     return missed / allowed, inside
 
 
@@ -373,10 +372,8 @@ def test_wrong_barrier_fails_the_round_trip(barrier):
 # ------------------------------------------------------------------------------------------
 # annealed, smooth laws
 
-ERROR = {
-    "smooth": 2e-7,
-    "edge": 1e-4,
-}  # documented relative error of the pooled inverse: by kind of support
+# documented relative error of the pooled inverse: by kind of support
+ERROR = {"smooth": 2e-7, "edge": 1e-4}
 B = [1e-8, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6, 1e9, 1e12]
 
 
@@ -642,9 +639,8 @@ def test_pooled_inverse_against_nt09(b):
     G = nt09(b, u)[1]
     pool = pooled_hazard(Gamma(1.0), "uniform", Soft, b)
     assert inverse_errors(pool, u, G).max() < ERROR["smooth"]
-    assert (
-        inverse_errors(pool, u * (1 + 1e-6), G).min() > ERROR["smooth"]
-    )  # negative control
+    # negative control
+    assert inverse_errors(pool, u * (1 + 1e-6), G).min() > ERROR["smooth"]
 
 
 @chosen(
@@ -748,9 +744,8 @@ def test_pooled_inverse_with_a_gap_below_the_support(low, high, b):
     above = special.erfcx(root * low) - math.exp(
         -b * (high**2 - low**2)
     ) * special.erfcx(root * high)
-    mean = (
-        math.sqrt(math.pi) / (2 * root) * above / (high - low)
-    )  # of exp(-b (xi^2 - low^2))
+    # of exp(-b (xi^2 - low^2))
+    mean = math.sqrt(math.pi) / (2 * root) * above / (high - low)
     G = mean * np.exp(Soft.log_hazard(u, low, b))
     assert inverse_errors(pool, u, G).max() < ERROR["edge"]
 
@@ -917,9 +912,8 @@ def survival(ensemble, velocity):
     else:
         node, weight = np.polynomial.legendre.leggauss(60)
         start = -np.log(law.sf(x))[:, None]
-        e = (
-            start + 15.0 * (node + 1) ** 2 / 4 * 2
-        )  # up to 30 beyond, denser at the beginning
+        # up to 30 beyond, denser at the beginning
+        e = start + 15.0 * (node + 1) ** 2 / 4 * 2
         xi = law.inverse_survival(e)
         a = b / law.scale**2 * relative_stiffness(ensemble.stiffness_law, xi, law.rms)
         loss = w * np.exp(

@@ -416,9 +416,8 @@ def test_bins_of_a_histogram_are_found(bins, place):
     """To the last bit, of bins of very different widths; equal neighbours are one bin."""
     rng = np.random.default_rng(bins)
     widths = rng.exponential(size=bins) ** 3
-    edges = np.unique(
-        place + np.cumsum(np.append(0.0, widths))
-    )  # bins of no width are none
+    # bins of no width are none
+    edges = np.unique(place + np.cumsum(np.append(0.0, widths)))
     bins = edges.size - 1
     counts = rng.permutation(np.arange(bins) % 7 + 1.0)
     counts[1:][counts[1:] == counts[:-1]] = 0.0  # two of them in a row are one, too

@@ -203,9 +203,8 @@ def star1(v, D, x_i, x_f, kT=0.0):
         u = x[:, None] / scale
         survive = ((1 + u**2) * np.exp(-(u**2))) @ share
         if kT > 0:
-            b = scale**2 / (
-                2 * kT
-            )  # int_0^u of the rate of each component (nt08), per attempt
+            # int_0^u of the rate of each component (nt08), per attempt
+            b = scale**2 / (2 * kT)
             G = math.sqrt(math.pi) / 2 * special.erf(u) * (1 + (1 + b) / 2) - (
                 1 + b
             ) / 2 * u * np.exp(-(u**2))
@@ -348,9 +347,10 @@ def test_aging_at_zero_temperature():
 def test_aging_limits_and_refusals():
     cold, hot = PublishedAging(0.0, 0.5, 1.0), PublishedAging(0.0, 0.5, 1.0, kT=1e-3)
     assert cold.f_k(3.0) == pytest.approx(0.5 * C_0, rel=1e-15, abs=0)
+    # c - a < 1 + b
     assert hot.f_k(1e9) == pytest.approx(
         0.5 * C_0, rel=(1 + hot.b) * hot.S_2(1e9), abs=0
-    )  # c - a < 1 + b
+    )
     assert PublishedAging(0.1, 0.1, 1.0).inverse_x_if_squared == pytest.approx(
         99.0, rel=1e-15, abs=0
     )

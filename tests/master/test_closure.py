@@ -82,9 +82,8 @@ def test_comes_to_rest_at_star1(monkeypatch, kT, aging):
     the stated errors; those of a D 5 % larger, the negative control, are ten errors or
     more away."""
     D, x_i, x_f, v = aging
-    monkeypatch.setattr(
-        "eqsim.master.closure.MOST_CELLS", 1000
-    )  # half the accuracy is enough, and faster
+    # half the accuracy is enough, and faster
+    monkeypatch.setattr("eqsim.master.closure.MOST_CELLS", 1000)
     C, f_k, _ = star1(v, D, x_i, x_f, kT)
     other_C, other_f_k, _ = star1(v, 1.05 * D, x_i, x_f, kT)
     found = closure(
@@ -179,10 +178,8 @@ def differences(d, D, kT, v, barrier, x_i=0.5, x_f=1.0):
     edge = d * np.arange(1, xi.size)
     rest, start = Gamma(1.0, x_f).pdf, Gamma(1.0, x_i).pdf(xi) * d
     flux = D / v * d / d**2  # in one step
-    up, down = (
-        flux * rest(edge) / rest(xi[:-1]),
-        flux * rest(edge) / rest(xi[1:]),
-    )  # between neighbours
+    # between neighbours
+    up, down = (flux * rest(edge) / rest(xi[:-1]), flux * rest(edge) / rest(xi[1:]))
     bands = np.zeros((3, xi.size))
     bands[1] = 1 + np.append(up, 0) + np.append(0, down)
     bands[0, 1:], bands[2, :-1] = -down, -up

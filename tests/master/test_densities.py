@@ -73,9 +73,8 @@ def test_closed_forms(kT):
     )
     x = np.append(np.geomspace(1e-3, 0.1, 20), np.linspace(0.1, 8.0, 80)).reshape(4, 25)
     np.testing.assert_allclose(state.P(x), form.P(x), rtol=1e-12)
-    np.testing.assert_allclose(
-        state.U(x), form.U(x), rtol=1e-8, atol=1e-15
-    )  # u^2 - ln(1 + u^2) cancels
+    # u^2 - ln(1 + u^2) cancels
+    np.testing.assert_allclose(state.U(x), form.U(x), rtol=1e-8, atol=1e-15)
     for name in ("H", "dU", "E_P"):
         found = getattr(state, name)(x)
         np.testing.assert_allclose(found, getattr(form, name)(x, v), rtol=1e-8)
@@ -203,9 +202,8 @@ def test_particles_of_a_stationary_start(disorder, case):
         J = cumulative(
             at, at * (state.joint_density(at[:, None] * share, at[:, None]) @ weight)
         )
-        assert Q(np.log(at[-1])) == pytest.approx(
-            1.0, abs=1e-5
-        )  # far below the 7e-3 that 20 000 contacts resolve
+        # far below the 7e-3 that 20 000 contacts resolve
+        assert Q(np.log(at[-1])) == pytest.approx(1.0, abs=1e-5)
         assert J(np.log(at[-1])) == pytest.approx(1.0, abs=1e-5)
         return [
             stats.kstest(sample, lambda s, F=F: F(np.log(s))).pvalue

@@ -13,15 +13,11 @@ import pytest
 from eqsim import Delta, Drive, Ensemble, Table, reference, trajectory
 from eqsim.master.transient import transient
 
-X_STAR, PERIODS, CELL = (
-    2.5,
-    20,
-    0.02,
-)  # CELL in x_*: between points, and of the coarser grid of the master equation
+# CELL in x_*: between points, and of the coarser grid of the master equation
+X_STAR, PERIODS, CELL = (2.5, 20, 0.02)
 DRIVE, POINTS = Drive(1.0, PERIODS * X_STAR), round(PERIODS / CELL) + 1
-PHASE = (
-    np.arange(POINTS) % round(1 / CELL) * CELL
-)  # of the cycle; an integer rule, so that rounding cannot move a jump
+# of the cycle; an integer rule, so that rounding cannot move a jump
+PHASE = np.arange(POINTS) % round(1 / CELL) * CELL
 AWAY = (PHASE > 4.5 * CELL) & (PHASE < 1 - 4.5 * CELL)
 
 

@@ -157,9 +157,8 @@ def test_rate_that_forgets_the_threshold():
         np.log(warm.x[1:])
     )
     exact *= np.exp(-math.exp(0.5) * warm.x[1:])
-    assert (
-        np.abs(warm.values[:, 1:] - exact).max() < 2e-6
-    )  # both errors, and that of the spline
+    # both errors, and that of the spline
+    assert np.abs(warm.values[:, 1:] - exact).max() < 2e-6
 
 
 @chosen("final", [0.3, 1.0, 3.0], [0.3, 3.0])

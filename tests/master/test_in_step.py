@@ -119,9 +119,10 @@ def test_identical_contacts_are_in_step_for_ever(delay, distance):
         401,
     )
     phase = np.mod(exact.X, 1.0 + delay)
+    # from jumps
     apart = (np.abs(phase - 1) > 1e-9) & (
         np.abs(phase - 0.5 - 0.5 * delay) < 0.5 + 0.5 * delay - 1e-9
-    )  # from jumps
+    )
     assert apart.mean() > 0.9
     force, pinned = np.where(phase < 1, phase, 0.0), phase < 1
     assert np.all((np.abs(exact.force - force) <= exact.force_error + 1e-9)[apart])

@@ -428,9 +428,8 @@ def test_few_contacts_quote_what_they_did_not_meet():
         Programme([Segment(1.0, distance=0.06)]),
         points=11,
     )
-    lost = run.X * -math.expm1(
-        -(0.06**4) / 2
-    )  # X P(xi < X), more than the mean deficit
+    # X P(xi < X), more than the mean deficit
+    lost = run.X * -math.expm1(-(0.06**4) / 2)
     assert np.all(np.abs(run.force - run.X)[1:] + lost[1:] < 5 * run.force_stderr[1:])
 
 

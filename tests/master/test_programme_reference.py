@@ -129,9 +129,8 @@ def test_force_in_a_hold(hold):
     )
     found = transient(KINDS["annealed uniform"], slide_hold_slide(0.1, hold))
     assert found.force[4] == pytest.approx(known, rel=0, abs=found.force_error[4])
-    assert (
-        found.force_error[4] < 1e-5
-    )  # the largest is 7e-6, most of it what interpolation may miss
+    # the largest is 7e-6, most of it what interpolation may miss
+    assert found.force_error[4] < 1e-5
 
 
 APART = {
@@ -462,11 +461,8 @@ CONSTANT = {
         1.0,
     ),
 }
-JUMPS = {
-    "table",
-    "delta",
-    "many thresholds",
-}  # discrete laws, whose contacts break together
+# discrete laws, whose contacts break together
+JUMPS = {"table", "delta", "many thresholds"}
 
 
 @chosen(  # by default what takes less than a second

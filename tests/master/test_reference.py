@@ -310,9 +310,8 @@ def test_error_estimates(disorder, monkeypatch):
     more than the error of the best."""
     ensemble = Ensemble(Gamma(0.0), Thermal(0.3), disorder=disorder)
     best = reference(ensemble, Drive(1e-6))
-    monkeypatch.setattr(
-        master_steady, "lives_of", master_steady.lives_of.__wrapped__
-    )  # what is known is not used
+    # what is known is not used
+    monkeypatch.setattr(master_steady, "lives_of", master_steady.lives_of.__wrapped__)
     if disorder == "quenched":
         monkeypatch.setattr(quenched, "CONVERGED", 1.0)
     else:
@@ -378,9 +377,10 @@ def test_fast_fluctuations():
         assert (abs(found / closed - 1) < 1e-3) == right
     c, u = contacts_of(contacts, 1.0), np.random.default_rng(8).random((2, 1000))
     stretch = lives(c, Source(key(1, TRAJECTORY), 0, STEP), *u).travel
+    # false alarm 1e-5
     allowed = math.hypot(
         4.5 * stretch.std() / math.sqrt(stretch.size), step_error(c.aging) * found
-    )  # false alarm 1e-5
+    )
     assert abs(stretch.mean() - found) < allowed
     assert allowed < 0.15 * found
 

@@ -140,9 +140,8 @@ def test_fresh_slip_with_heat_along_a_programme(velocity):
         np.linspace(found.X.value - 0.2, found.X.value + 0.2, 401)
     ).min()
     missed = other.force_error[near].max() * 6.0 / 0.5
-    assert (
-        missed < 1e-2
-    )  # quoted errors of the force are largest at a velocity of 0.1: 7e-4
+    # quoted errors of the force are largest at a velocity of 0.1: 7e-4
+    assert missed < 1e-2
     assert found.critical_stiffness.value == pytest.approx(fall, abs=missed)
     assert found.critical_stiffness.value == pytest.approx(
         {0.01: 0.1445, 0.1: 0.1802, 1.0: 0.1764}[velocity], abs=1e-4

@@ -62,6 +62,7 @@ EXACT = {
     "log_one_plus": mpmath.log1p,
     "two_thirds_power": lambda y: mpmath.cbrt(y) ** 2,
 }
+# ulp
 STATED = {
     "log": 1.0,
     "exp": 1.5,
@@ -69,7 +70,7 @@ STATED = {
     "quarter_sine": 5.0,
     "log_one_plus": 2.5,
     "two_thirds_power": 3.0,
-}  # ulp
+}
 
 
 def loop(name):
@@ -110,9 +111,8 @@ def worst(name, change=lambda y: y):
 @pytest.mark.parametrize("name", STATED)
 def test_stated_error(name):
     assert worst(name) < STATED[name]
-    assert (
-        worst(name, lambda y: y * (1 + 4 * np.finfo(float).eps)) > STATED[name]
-    )  # negative control
+    # negative control
+    assert worst(name, lambda y: y * (1 + 4 * np.finfo(float).eps)) > STATED[name]
 
 
 def test_exp_ends_at_its_bounds():
@@ -138,9 +138,8 @@ def test_loops_vectorise(name):
         for i in range(x.size):
             y[i] = math.log(x[i])
 
-    fewest = (
-        3 if name == "exp_less_one" else 4
-    )  # which holds three, besides those that are fused with additions
+    # which holds three, besides those that are fused with additions
+    fewest = 3 if name == "exp_less_one" else 4
     assert packed(loop(name)) >= fewest
     assert packed(libm) == 0
 

@@ -108,9 +108,8 @@ def test_tail_is_resolved_below_a_double_near_1():
     """All 63-bit values next to 0 differ; their spacing is 2^-63."""
     found = [uniform(*words(low, 0)) for low in range(0, 64, 2)]
     np.testing.assert_array_equal(np.diff(found), 2.0**-63)
-    assert (
-        uniform(*words(0, 1)) - uniform(*words(MASK, 0)) == 2.0**-63
-    )  # carries into the high word
+    # carries into the high word
+    assert uniform(*words(0, 1)) - uniform(*words(MASK, 0)) == 2.0**-63
 
 
 def test_uniform_rises_with_its_bits():
@@ -282,6 +281,5 @@ def test_resolution_of_products():
     edge = ROUGH + np.arange(4097) * 2.0**-32
     mean = 1.0 - np.diff(edge * np.log(edge)) / np.diff(edge)
     error = -np.log(0.5 * (edge[1:] + edge[:-1])) - mean
-    assert (
-        np.abs(error).max() < 2.0**-24 / 24 + 1e-11
-    )  # rounding of differences of u ln u, 1e-16 of 1e-5 over 2e-10
+    # rounding of differences of u ln u, 1e-16 of 1e-5 over 2e-10
+    assert np.abs(error).max() < 2.0**-24 / 24 + 1e-11

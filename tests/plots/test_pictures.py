@@ -162,9 +162,10 @@ def test_units_are_on_the_axes(run_file):
     (right,) = top.child_axes
     assert right.get_ylabel() == "friction coefficient"
     style.saved(figure)
+    # 50 uN/um over 100 uN
     assert right.get_ylim()[1] == pytest.approx(
         0.5 * top.get_ylim()[1], rel=1e-9, abs=0
-    )  # 50 uN/um over 100 uN
+    )
 
 
 def test_formats(run_file, tmp_path):

@@ -81,9 +81,8 @@ def test_every_point_bar_and_line_is_where_it_should_be():
     )
     assert sorted(marks(axes)) == sorted(expected)
     bars = np.concatenate([c.get_segments() for c in axes.collections])
-    np.testing.assert_allclose(
-        bars[:, 1, 1] - bars[:, 0, 1], 4 * 0.01, rtol=1e-12
-    )  # +- 2 standard errors
+    # +- 2 standard errors
+    np.testing.assert_allclose(bars[:, 1, 1] - bars[:, 0, 1], 4 * 0.01, rtol=1e-12)
     # nothing is known of the run file: references are dashes at the points, not lines
     # that pretend to be curves
     assert all(line.get_linestyle() == "None" for line in axes.lines)
@@ -301,9 +300,8 @@ def test_flat_curves_have_plain_labels():
     assert "+" not in axis.get_offset_text().get_text()
     low, high = figure.axes[0].get_ylim()
     assert (high - low) / 1.596e-9 == pytest.approx(0.01, rel=1e-3, abs=0)
-    varied = table.assign(
-        friction=[1.0, 1.001, 1.002]
-    )  # control: limits that show something stay
+    # control: limits that show something stay
+    varied = table.assign(friction=[1.0, 1.001, 1.002])
     figure, _ = drawn(varied, "drive.velocity", "friction")
     before = figure.axes[0].get_ylim()
     saved(figure)

@@ -41,14 +41,8 @@ def test_axes_and_their_product():
         point["drive.velocity"]
         for point in grid("drive.velocity = { log = [1e-3, 1e2, 6] }")
     ]
-    assert log == [
-        0.001,
-        0.01,
-        0.1,
-        1.0,
-        10.0,
-        100.0,
-    ]  # to the last bit, whatever made the powers
+    # to the last bit, whatever made the powers
+    assert log == [0.001, 0.01, 0.1, 1.0, 10.0, 100.0]
     assert [p["delay.time"] for p in grid('"delay.time" = { linear = [0, 1, 5] }')] == [
         0,
         0.25,
@@ -146,12 +140,10 @@ def test_identity_depends_on_what_a_value_depends_on(monkeypatch):
     swept = BASE + '[sweep]\n"thermal.kT" = [0.1, 1.0]\n'
     ids_ = ids(swept)
     assert ids_ == ids(swept.replace("small", "other title"))
-    assert ids_[::-1] == ids(
-        swept.replace("[0.1, 1.0]", "[1, 0.1]")
-    )  # neither order nor 1 for 1.0
-    assert ids_[0] in ids(
-        swept.replace("[0.1, 1.0]", "[0.1, 2.0, 3.0]")
-    )  # nor the rest of the grid
+    # neither order nor 1 for 1.0
+    assert ids_[::-1] == ids(swept.replace("[0.1, 1.0]", "[1, 0.1]"))
+    # nor the rest of the grid
+    assert ids_[0] in ids(swept.replace("[0.1, 1.0]", "[0.1, 2.0, 3.0]"))
     assert ids_ == ids(
         BASE
         + "[thresholds]\nn = 1.0\nx_star = 1\n"
@@ -174,9 +166,8 @@ def test_seeds_of_points_differ():
     ]
     seeds = np.array([seed_of(point_id) for point_id in ids])
     assert np.unique(seeds).size == seeds.size
-    assert (
-        np.unique(seeds % 2**31).size < seeds.size - 5
-    )  # the control: some 21 are expected to be the same
+    # the control: some 21 are expected to be the same
+    assert np.unique(seeds % 2**31).size < seeds.size - 5
     assert seed_of("f" * 64) == 2**63 - 1
 
 

@@ -100,10 +100,8 @@ def test_rows_are_what_steady_and_reference_say(small):
         for name in BASIC:
             ours, level = getattr(found, name), getattr(exact, name)
             assert row[f"{name}_reference_error"] == level.stderr
-            assert (row[f"{name}_dof"], row[f"{name}_reliable"]) == (
-                31,
-                True,
-            )  # 32 randomisations
+            # 32 randomisations
+            assert (row[f"{name}_dof"], row[f"{name}_reliable"]) == (31, True)
             sigma = math.hypot(ours.stderr, level.stderr)
             if sigma:  # Student's probability as that of a normal score, with the sign of ours - theirs
                 score = stats.norm.ppf(
@@ -143,9 +141,8 @@ def test_order_and_company_do_not_change_a_bit(small, tmp_path):
     both = one.index.intersection(two.index)
     assert len(both) == 6
     pd.testing.assert_frame_equal(one.loc[both], two.loc[both], check_exact=True)
-    assert (
-        not one["friction"].isin(two.drop(both)["friction"]).any()
-    )  # negative control
+    # negative control
+    assert not one["friction"].isin(two.drop(both)["friction"]).any()
 
 
 def test_transient(tmp_path):
@@ -171,9 +168,8 @@ def test_transient(tmp_path):
                 estimate.dof,
             )
         assert row["lives"] == found.lives > 500
-    assert (table[["friction_dof", "break_stretch_dof"]] == 63).all(
-        axis=None
-    )  # 64 batches
+    # 64 batches
+    assert (table[["friction_dof", "break_stretch_dof"]] == 63).all(axis=None)
 
 
 def test_failed_and_unreliable_points_do_not_stop_the_others(tmp_path):
@@ -268,9 +264,8 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
     pq.write_table(pa.table({"a": [1]}), tmp_path / "theirs.parquet")
     with pytest.raises(InputError, match="another origin"):
         sweep(plan_of(GRID), tmp_path)
-    (tmp_path / "theirs.parquet").rename(
-        tmp_path / "notes.txt"
-    )  # which readers of the folder would stumble over
+    # which readers of the folder would stumble over
+    (tmp_path / "theirs.parquet").rename(tmp_path / "notes.txt")
     with pytest.raises(
         InputError, match=r"another origin, notes.txt; must be a folder of its own"
     ):
@@ -456,9 +451,8 @@ def test_page_checksums_see_every_byte_of_the_data(small, tmp_path):
         bad = bytearray(content)
         bad[begin + rng.randrange(end)] ^= 1 << rng.randrange(8)
         found = storage.from_parquet(bytes(bad))
-        assert found is None or found.equals(
-            table
-        )  # some bits of a page's header mean nothing
+        # some bits of a page's header mean nothing
+        assert found is None or found.equals(table)
 
 
 def test_death_between_the_table_and_its_parts_doubles_nothing(
@@ -937,9 +931,8 @@ def test_quiet_and_progress(small):
 def test_newer_keys_name_no_point_that_leaves_them_out():
     """Keys that came with a later version change no name, seed and table of a sweep
     without them; where they are swept they are columns."""
-    assert (
-        plan_of(GRID).ids[0].startswith("4ed3f8be1b84c8b9")
-    )  # as version 0.1.0 has it
+    # as version 0.1.0 has it
+    assert plan_of(GRID).ids[0].startswith("4ed3f8be1b84c8b9")
     newer = plan_of(GRID + '"delay.activation" = [0.0, 0.1]')
     assert newer.ids[0] == plan_of(GRID).ids[0] != newer.ids[1]
     assert "delay.activation" in schema(newer.file, newer.changed).names

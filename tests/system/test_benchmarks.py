@@ -63,9 +63,8 @@ def test_c_records_what_eqsim_records(case):
 def test_c_averages_are_exact(case):
     value, error = tuned.steady(case, 2_000_000, seed=5)
     exact = reference(case.ensemble(1), Drive(VELOCITY)).friction.value
-    assert (
-        abs(value - exact) < 5 * error
-    )  # Student's law of 63 degrees of freedom: 5e-6
+    # Student's law of 63 degrees of freedom: 5e-6
+    assert abs(value - exact) < 5 * error
     wrong = reference(
         CASES[CASES.index(case) - 1].ensemble(1), Drive(VELOCITY)
     ).friction.value
@@ -92,9 +91,8 @@ def test_c_gives_the_same_bits_on_two_threads_and_the_same_lives_without_avx512(
 def test_plain_averages_of_eqsim_are_exact():
     contacts = GENERAL.ensemble(1)
     found = plain(contacts, VELOCITY, accuracy(contacts, VELOCITY, 200_000), 1, 2)
-    assert (
-        140_000 < found.lives - 65_536 < 280_000
-    )  # those of the first attempt included
+    # those of the first attempt included
+    assert 140_000 < found.lives - 65_536 < 280_000
     assert (
         abs(found.value - reference(contacts, Drive(VELOCITY)).friction.value)
         < 5 * found.stderr
@@ -124,9 +122,8 @@ def test_parts_of_a_life(tmp_path):
     them are drawn."""
     figures = pd.DataFrame(parts.measure(GENERAL, COMPILE, 2))
     assert (figures[list(parts.PARTS)] >= 0.0).all(axis=None)
-    total = figures[list(parts.PARTS)].sum(
-        axis=1
-    )  # more only if noise made a part seem to take less than nothing
+    # more only if noise made a part seem to take less than nothing
+    total = figures[list(parts.PARTS)].sum(axis=1)
     assert (total >= figures["whole"] * (1.0 - 1e-12)).all()
     assert figures.groupby("job")["who"].agg(list).tolist() == [["eqsim", "C"]] * 2
     assert parts.table(figures).row_count == 4
@@ -143,13 +140,11 @@ def test_scalar_contacts_follow_a_programme(case):
     ends = [np.flatnonzero(ours.segment == index)[-1] for index in range(10)]
     force, stderr, lives = along(case, programme, contacts, seed=4)
     error = np.hypot(stderr, ours.force_stderr[ends])
-    assert (
-        np.abs((force - ours.force[ends]) / error).max() < 5
-    )  # at most ten deviates: 6e-6
+    # at most ten deviates: 6e-6
+    assert np.abs((force - ours.force[ends]) / error).max() < 5
     assert 0.9 < lives / ours.lives < 1.02  # eqsim counts some that begin after the end
-    other = replace(
-        case, general=not case.general
-    )  # with the other law of stiffness and delay the same scores fail
+    # with the other law of stiffness and delay the same scores fail
+    other = replace(case, general=not case.general)
     wrong, stderr, _ = along(other, programme, contacts, seed=4)
     assert (
         np.abs(

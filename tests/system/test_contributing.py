@@ -115,9 +115,8 @@ def copy(tmp_path_factory):
         path.write_text(
             changed(path.read_text(encoding="utf-8"), diff), encoding="utf-8"
         )
-    plain = law.split("@stretch.register")[0].replace(
-        "Linear", "Plain"
-    )  # whose hazard nobody inverts
+    # whose hazard nobody inverts
+    plain = law.split("@stretch.register")[0].replace("Linear", "Plain")
     listed.with_name("plain.py").write_text(plain, encoding="utf-8")
     lacking = plain.replace("Plain", "Lacking").replace("def exponent", "def height_of")
     listed.with_name("lacking.py").write_text(lacking, encoding="utf-8")

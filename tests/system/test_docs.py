@@ -164,10 +164,11 @@ def test_nothing_is_shown_that_is_not_run():
     ]
     left = [command for command in left if not pages.is_run(command)]
     assert all(command.startswith("pip install") for command in left), left
+    # Slurm
     assert (
         len([b for _, b in BLOCKS if b.kind == "python" and not pages.is_run(b.body)])
         == 1
-    )  # Slurm
+    )
 
 
 def test_pictures_are_drawn_by_commands():

@@ -84,9 +84,8 @@ def start(*args, code=None, limit=lambda: None, **options):
     code = code or (FIGURES if args[:1] == ("figures",) else EQSIM)
 
     def ready():
-        signal.signal(
-            signal.SIGINT, signal.SIG_DFL
-        )  # shells have jobs in the background ignore it
+        # shells have jobs in the background ignore it
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
         limit()
 
     return subprocess.Popen(
@@ -372,12 +371,13 @@ def test_one_signal_at_any_moment_ends_any_command(run_file, tmp_path, command, 
         code, output, errors = ended(process, ALLOWED)
         assert code == 128 + number
         assert re.fullmatch(r"eqsim: interrupted; .*\n", errors), errors
+        # to go
         assert (
             command == "sweep"
             or output == ""
             or (command == "steady" and output.startswith("about "))
             or command.startswith("fit")  # estimates
-        )  # to go
+        )
         if command == "sweep":
             assert {name.split("/")[0] for name in names(tmp_path / "o")} <= {
                 "_lock",

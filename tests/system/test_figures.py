@@ -197,9 +197,8 @@ def test_finished_figures_outlive_an_interrupt(tmp_path, monkeypatch):
             yield SimpleNamespace(executor=pool)
 
     monkeypatch.setattr("analysis.figures.compute._compute", stub)
-    monkeypatch.setattr(
-        "analysis.figures.compute.as_completed", iter
-    )  # in the order of the paper, also if all is done by then
+    # in the order of the paper, also if all is done by then
+    monkeypatch.setattr("analysis.figures.compute.as_completed", iter)
     monkeypatch.setattr("eqsim.sweeps.workers.Workers.fixed_pool", here)
     monkeypatch.setattr("eqsim.io.signals.acknowledge", lambda: 130)
     out = tmp_path / "o"
@@ -233,8 +232,6 @@ def test_bad_input_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     refused("is not a folder", "A01", "--out", str(tmp_path / "file"))
     assert check(["A04", "A01"]) == ["A01", "A04"]
-    assert check(["5", "A01"]) == [
-        "A01",
-        "A04",
-    ]  # by the number of the published figure
+    # by the number of the published figure
+    assert check(["5", "A01"]) == ["A01", "A04"]
     assert list(make([], tmp_path, executor=Here())) == []

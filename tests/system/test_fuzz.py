@@ -82,9 +82,8 @@ def toml(value):
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int):
-        return (
-            str(value) if abs(value) < 10**4000 else f"0x{abs(value):x}"
-        )  # as Python prints no more
+        # as Python prints no more
+        return str(value) if abs(value) < 10**4000 else f"0x{abs(value):x}"
     if isinstance(value, str):
         return json.dumps(value)
     if isinstance(value, list):
@@ -405,9 +404,8 @@ def fuzz(folder, seeds, solved):
         stage = "refused"
         try:
             with limited(), warnings.catch_warnings():
-                warnings.simplefilter(
-                    "error"
-                )  # a warning is a second line on standard error
+                # a warning is a second line on standard error
+                warnings.simplefilter("error")
                 _, ensemble, drive = use(path)
                 outcomes["used"] += 1
                 if (
@@ -431,9 +429,8 @@ def fuzz(folder, seeds, solved):
 @pytest.mark.long  # 9 s: the default suite has to end in time on a machine that others use as well
 def test_run_files(tmp_path):
     outcomes = fuzz(tmp_path, range(200), solved=6)
-    assert (
-        min(outcomes["refused"], outcomes["used"], outcomes["solved"]) >= 6
-    )  # neither all is refused nor all taken
+    # neither all is refused nor all taken
+    assert min(outcomes["refused"], outcomes["used"], outcomes["solved"]) >= 6
 
 
 @pytest.mark.long
@@ -660,9 +657,8 @@ def points_case(rng):
             [rng.uniform(0.1, 1.0) for _ in range(rows)], pa.float64()
         ).cast(pa.float32()),
     ]
-    table = pa.Table.from_arrays(
-        [rng.choice(makers)() for _ in names], names
-    )  # names may repeat
+    # names may repeat
+    table = pa.Table.from_arrays([rng.choice(makers)() for _ in names], names)
     buffer = io.BytesIO()
     pq.write_table(table, buffer)
     whole = buffer.getvalue()
@@ -997,8 +993,7 @@ def test_names_no_terminal_can_show(tmp_path):
     )
     assert (done.returncode, done.stderr) == (0, b"")
     assert b"\\u2603" in done.stdout
-    result = call(
-        "run", path, "--out", tmp_path / "out", "--set", "title=", "--json"
-    )  # the picture is named after it
+    # the picture is named after it
+    result = call("run", path, "--out", tmp_path / "out", "--set", "title=", "--json")
     assert result.exit_code == 0, result.output
     refused(call("info", path, "--set", "title=\udcff"), path)

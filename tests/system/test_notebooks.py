@@ -75,9 +75,8 @@ def test_there_are_notebooks():
 def test_committed_with_results(path):
     notebook = read(path)
     assert failures(notebook) == []
-    assert not any(
-        "execution" in cell.metadata for cell in notebook.cells
-    )  # times of execution change for nothing
+    # times of execution change for nothing
+    assert not any("execution" in cell.metadata for cell in notebook.cells)
     assert notebook.metadata.kernelspec.name == "python3"
     assert path.stat().st_size < 800_000  # some ten pictures of 150 dpi
 

@@ -18,9 +18,10 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+# ask for no more than a notice
 FREE = re.compile(
     r"MIT|BSD|Apache|PSF|Python Software Foundation|ISC|Zlib|CC0|HPND|Unlicense"
-)  # ask for no more than a notice
+)
 BOUND = re.compile(
     r"GPL|AGPL|SSPL|Commons Clause|Proprietary|Non-?Commercial", re.IGNORECASE
 )
@@ -47,9 +48,8 @@ def test_dependencies_are_used_and_declared():
     not declared."""
     declared, found = names(PROJECT["dependencies"]), imported("eqsim", "analysis")
     assert declared - found == set()
-    optional = names(
-        PROJECT["optional-dependencies"]["dask"]
-    )  # imported where it is asked for
+    # imported where it is asked for
+    optional = names(PROJECT["optional-dependencies"]["dask"])
     assert found - declared - optional <= set(sys.stdlib_module_names) | {
         "eqsim",
         "analysis",
@@ -93,9 +93,10 @@ def test_licences():
         said = licence(about)
         assert FREE.search(said), f"{name}: {said}"
         assert not BOUND.search(said), f"{name}: {said}"
+    # negative control
     assert BOUND.search(
         "License :: OSI Approved :: GNU General Public License v3 (GPLv3)"
-    )  # negative control
+    )
 
 
 def python_of(folder):

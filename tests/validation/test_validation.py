@@ -360,10 +360,8 @@ def test_sample(monkeypatch):
     assert 3.0 < max(math.log10(steps[-1] / steps[0]) for steps in few) < 4.0
     assert 200 < max(steps.size for steps in samples) <= 500
     assert min(law.support[0] / law.support[1] for law in of["uniform"]) > 0.0
-    assert {0 in law.frozen._histogram[0] for law in of["histogram"]} == {
-        True,
-        False,
-    }  # gaps
+    # gaps
+    assert {0 in law.frozen._histogram[0] for law in of["histogram"]} == {True, False}
 
 
 @pytest.mark.verification

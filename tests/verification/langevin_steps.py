@@ -131,9 +131,8 @@ def picture(frame: pd.DataFrame) -> Figure:
             axes.axvline(STEP, color="0.5", linewidth=0.5, linestyle="--")
             for index, D_v in enumerate(rates):
                 rows = of_case[of_case.D_v == D_v]
-                aside = rows.step + 0.012 * (
-                    index - (len(rates) - 1) / 2
-                )  # so that error bars stay apart
+                # so that error bars stay apart
+                aside = rows.step + 0.012 * (index - (len(rates) - 1) / 2)
                 axes.errorbar(
                     aside,
                     1e3 * rows[f"{name}_error"],

@@ -26,10 +26,8 @@ from eqsim.validation.verdict import ALARM, KINDS, judge, p_overall
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "runs" / "out" / "verification"
-SEED, PARTS = (
-    6211,
-    25,
-)  # of the parameter space; 25, so that every part has points of all kinds
+# of the parameter space; 25, so that every part has points of all kinds
+SEED, PARTS = (6211, 25)
 SEEDS = range(6301, 6341)  # of the suites whose p-values are to be flat
 P_VALUES = ("p_chi_square", "p_largest")
 

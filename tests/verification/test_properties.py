@@ -505,9 +505,8 @@ def a_run_file_survives_its_text(content):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.toml"
         path.write_text(toml(file.settings | {"sweep": {}}), encoding="utf-8")
-        assert (
-            load(path).settings == file.settings
-        )  # files are equal if their texts are, too
+        # files are equal if their texts are, too
+        assert load(path).settings == file.settings
 
 
 @everywhere(

@@ -34,9 +34,8 @@ from eqsim.validation.verdict import ALARM, KINDS, declined, left_out
 pytestmark = pytest.mark.verification
 
 FAR = 6.5  # 8e-11 of a normal score
-BOUNDED = {
-    "steps"
-}  # kinds all of whose errors may be bounds, so that no score counts as even
+# kinds all of whose errors may be bounds, so that no score counts as even
+BOUNDED = {"steps"}
 
 
 @pytest.mark.parametrize("part", range(PARTS))
