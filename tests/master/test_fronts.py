@@ -60,6 +60,27 @@ def test_share_of_small_differences(middle, differences):
     assert found == pytest.approx(exact, rel=0, abs=1e-6)
 
 
+@pytest.mark.parametrize("power", [0, 1, 2])
+@pytest.mark.parametrize("ends", [(-3.0, -9.0), (0.4, -0.3), (5.0, -2.0), (20.0, 1.0)])
+def test_survivors_across_a_stratum(ends, power):
+    """Means of int_0^1 u^p exp(-z u) du over ln z between two ends, to 1e-7 of
+    themselves: the table is of fourth order in 1/64."""
+    integral = compiled(fronts._exponential_integral)
+    weak, strong = (
+        float(mp.quad(lambda u, y=y: u**power * mp.exp(-u * mp.exp(y)), [0, 0.01, 1]))
+        for y in ends
+    )
+    fall = integral(fronts.table_of_w(), ends[1])
+    fall -= integral(fronts.table_of_w(), ends[0])
+    apart = ends[0] - ends[1]
+    found = compiled(fronts._across)(weak, strong, fall, (power + 1) * apart)
+    known = mp.quad(
+        lambda y: mp.quad(lambda u: u**power * mp.exp(-u * mp.exp(y)), [0, 0.01, 1]),
+        [ends[1], 0.5 * sum(ends), ends[0]],
+    )
+    assert found == pytest.approx(float(known) / apart, rel=1e-7, abs=0)
+
+
 @pytest.mark.parametrize(
     ("law", "heat"),
     [
