@@ -27,6 +27,7 @@ from eqsim.master.cohorts import (
     Cohorts,
     Growth,
     PathStep,
+    Scratch,
     ages_of_survivors,
     bear,
     carry,
@@ -276,20 +277,19 @@ def _across(weak: float, strong: float, fall: float, apart: float) -> float:
     return (strong - weak + fall) / apart
 
 
-@bear.register(Fronts)
-def _bear(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
-    """Find what is pinned at the end of a step of one birth spread over it, and z of
-    contacts born at its beginning. z grows evenly with age within a substep; where
-    thresholds grow, each substep is twice as long as the one before."""
-    cohort, z, scratch = cohorts.rows[row], cohorts.z[row], cohorts.scratch
-    substeps = _SUBSTEPS_OF_BIRTHS if contacts.growth.ages else 1
-    # E[1], E[u], E[u^2] of survivors, u the age over the step
+@routine
+def _add_up_births(
+    contacts: Fronts, cohort: Cohort, z: Array, scratch: Scratch, step: PathStep
+) -> None:
+    """Find z of contacts that age, born at the beginning of a step, and E[1], E[u],
+    E[u^2] of survivors of births in it, u the age over the step. z grows evenly with age
+    within a substep, and each substep is twice as long as the one before."""
     share, age, age2 = scratch.share, scratch.age, scratch.age2
     for k in range(z.size):
-        z[k], share[k], age[k], age2[k] = 0.0, 0.0, 0.0, 0.0
+        share[k], age[k], age2[k] = 0.0, 0.0, 0.0
     u, dt, dX = 0.0, step.t1 - step.t0, step.X1 - step.X0
-    for i in range(substeps):
-        after = 0.5 ** (substeps - 1 - i)
+    for i in range(_SUBSTEPS_OF_BIRTHS):
+        after = 0.5 ** (_SUBSTEPS_OF_BIRTHS - 1 - i)
         width = after - u
         copy(z, scratch.before)
         t, X = step.t0 + u * dt, step.X0 + u * dX
@@ -306,9 +306,24 @@ def _bear(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
             age[k] += alive * (u + width * left.age)
             age2[k] += alive * square
         u = after
+
+
+@bear.register(Fronts)
+def _bear(contacts: Fronts, cohorts: Cohorts, row: int, step: PathStep) -> None:
+    """Find what is pinned at the end of a step of one birth spread over it, and z of
+    contacts born at its beginning."""
+    cohort, z, scratch = cohorts.rows[row], cohorts.z[row], cohorts.scratch
+    for k in range(z.size):
+        z[k] = 0.0
+    if contacts.growth.ages:
+        _add_up_births(contacts, cohort, z, scratch, step)
+    else:
+        _add_hazard(contacts, cohort, z, step)
     _logarithms(z, scratch.newer)
     strata, weakest = contacts.strata, cohort.weakest_first
-    g = growth(contacts.growth.law, 0.5 * dt) if contacts.growth.stiffens else 1.0
+    share, age, age2 = scratch.share, scratch.age, scratch.age2
+    middle = 0.5 * (step.t1 - step.t0)
+    g = growth(contacts.growth.law, middle) if contacts.growth.stiffens else 1.0
     cohort.pinned, cohort.stiffness, cohort.stiffness2 = 0.0, 0.0, 0.0
     for k in range(strata.left.size):
         j = k + contacts.nodes.size - strata.left.size
