@@ -546,7 +546,8 @@ class Slider:
     def step(self, until: float, speed: float) -> State:
         """Make one step, not beyond time `until`, while the stage moves at `speed`."""
         now = self.state
-        if now.sums.pinned == 0.0:  # nothing breaks
+        detached = now.sums.pinned == 0.0
+        if detached:  # nothing breaks
             self.breaks = BreakRates(self.breaks.shortest)
         left = until - now.time
         dt = left if 1.2 * self.dt >= left else self.dt
@@ -554,8 +555,9 @@ class Slider:
         limited = self.pull.damping or self.pull.mass
         shortest = SHORTEST_STEP if limited else 0.5**_HALVINGS * dt
         longest = 1.5 * self.longest
-        gone = now.sums.pinned == 0.0 and self.endless
-        if gone and not self.pull.mass:  # nothing breaks, and the estimate is exact
+        if (
+            detached and self.endless and not self.pull.mass
+        ):  # nothing breaks, and the estimate is exact
             self.behind = Behind()
             dt, longest = left, math.inf
             dX, V = self._estimate(dt, speed)
@@ -623,10 +625,10 @@ class Slider:
         net += self._applied(now.time)
         elastic = self._elastic
         size = self.longest
-        if elastic > 0.0:
-            size = min(size, max(abs(net) / elastic, 1e-6 * size))
         if now.sums.pinned == 0.0 and self.pull.stiffness:
             size = abs(net) / self.pull.stiffness  # none is pinned in no time
+        elif elastic > 0.0:
+            size = min(size, max(abs(net) / elastic, 1e-6 * size))
         dX = math.copysign(size, net)
         dt = _SLIP_DURATION * size
         sums = self._follow(Piece(dt, 1.0 / _SLIP_DURATION, math.copysign(1.0, net)))

@@ -24,7 +24,14 @@ from eqsim.errors import (
 from eqsim.laws.law import Law
 from eqsim.numerics.compiled import by_law, routine
 from eqsim.numerics.quadrature import gamma_quantile
-from eqsim.numerics.tables import Array, look_up, octave_edges, octave_table, search
+from eqsim.numerics.tables import (
+    Array,
+    hermite,
+    look_up,
+    octave_edges,
+    octave_table,
+    search,
+)
 from eqsim.numerics.vector_math import log
 
 # e = -ln(1 - P) of tables of quantiles: uniforms of 63 bits reach e = 44
@@ -431,8 +438,7 @@ def begun_at(law: DrawnWaits, u: float, i: int) -> tuple[float, int]:
     t = min((u - knots[i]) / width, 1.0)
     rise = y[i + 1] - y[i]
     left, right = slope[i] * width, slope[i + 1] * width
-    bend = 3.0 * rise - 2.0 * left - right + t * (left + right - 2.0 * rise)
-    return y[i] + t * (left + t * bend), i
+    return hermite(t, y[i], rise, left, right), i
 
 
 @by_law

@@ -139,7 +139,7 @@ class Panels(NamedTuple):
         return cls(low, high, weights / (2.0 * weights[..., :1]))
 
     def unresolved(self, p: Array) -> tuple[Array, Array]:
-        """Whether exp(-p xi) changes too much within the panel of a node for the rule of
+        """Find the nodes in whose panel exp(-p xi) changes too much for the rule of
         Gauss, and the numbers that take its place there by the rule of Filon, exact for
         densities that are polynomials within a panel; both of shape (n, nodes) for p of
         shape (n,)."""

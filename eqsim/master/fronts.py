@@ -36,7 +36,7 @@ from eqsim.master.cohorts import (
 )
 from eqsim.numerics.compiled import routine
 from eqsim.numerics.quadrature import gauss_legendre
-from eqsim.numerics.tables import Array
+from eqsim.numerics.tables import Array, hermite
 from eqsim.numerics.vector_math import exp
 
 # ln z below which heat has broken next to nothing of a cell and a stratum: exp(-36) =
@@ -116,8 +116,7 @@ def _w(table: Array, y: float) -> float:
     i = min(int(steps), table.shape[0] - 2)
     u, h = steps - i, 1.0 / W_PER_UNIT
     rise, d0, d1 = table[i + 1, 0] - table[i, 0], table[i, 1] * h, table[i + 1, 1] * h
-    cubic = 3.0 * rise - 2.0 * d0 - d1 + u * (d0 + d1 - 2.0 * rise)
-    w = table[i, 0] + u * (d0 + u * cubic)
+    w = hermite(u, table[i, 0], rise, d0, d1)
     beyond = y - min(y, _W_ENDS)
     return w + beyond * (table[table.shape[0] - 1, 1] + 0.5 * beyond)
 
@@ -263,8 +262,7 @@ def _exponential_integral(table: Array, y: float) -> float:
     u, rise = steps - i, table[i + 1, 1] - table[i, 1]
     d0 = -math.expm1(-math.exp(W_BEGINS + i * h)) * h
     d1 = -math.expm1(-math.exp(W_BEGINS + (i + 1) * h)) * h
-    cubic = 3.0 * rise - 2.0 * d0 - d1 + u * (d0 + d1 - 2.0 * rise)
-    return table[i, 1] + u * (d0 + u * cubic) - y - np.euler_gamma
+    return hermite(u, table[i, 1], rise, d0, d1) - y - np.euler_gamma
 
 
 @routine(inline=True)

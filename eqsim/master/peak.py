@@ -99,14 +99,14 @@ class Missed(NamedTuple):
 def missed_by(
     ensemble: Ensemble, X: Array, force: Array, top: int, unsure: float = 0.0
 ) -> Missed:
-    """What `vertex` may miss, arrays (points,).
+    """Bound what `vertex` misses of the peak at point `top` of arrays (points,).
 
     Of a round peak it is the error of interpolation (textbook). Two flanks that meet
     between points do so above the higher one by less than the slope of either times a
-    cell, and by less than half a third difference (derived; all of it is quoted). In the cell where they
-    meet points differ by less than that, hence the cell beyond it counts, too. The peak
-    may be any other maximum, up to half an rms threshold later, that is as high within
-    this and an error `unsure` of the difference of two maxima.
+    cell, and by less than half a third difference (derived; all of it is quoted). In the
+    cell where they meet points differ by less than that, hence the cell beyond it
+    counts, too. The peak may be any other maximum, up to half an rms threshold later,
+    that is as high within this and an error `unsure` of the difference of two maxima.
     """
     thirds = np.abs(np.diff(force[max(top - 2, 0) : top + 3], 3)).max(initial=0.0)
     law, delay = ensemble.thresholds, ensemble.delay

@@ -493,8 +493,8 @@ def solve(contacts: Reduced, course: Course) -> tuple[Array, Array, list[History
     quickest = min(1.0, delay.mean or 1.0, float(ages[np.argmax(grown)]))
     if thermal:
         lift = _lift(contacts, course.speeds[1])
-        attempts = max(-contacts.barrier.log_w - lift, math.log(_LEAST_INSTANT))
-        quickest = min(quickest, math.exp(attempts))
+        attempt = math.exp(-contacts.barrier.log_w - lift)
+        quickest = min(quickest, max(attempt, _LEAST_INSTANT))
     fixed, changes = isinstance(delay, Fixed), not isinstance(aging, Unaged)
     sharp = sharp_instants(
         Corners(corners, X),

@@ -83,6 +83,14 @@ def search(values: Array, x: float, right: bool) -> int:
 
 
 @routine(inline=True)
+def hermite(t: float, y: float, rise: float, left: float, right: float) -> float:
+    """Value at the share t of a cell in which a cubic polynomial begins with y and rises
+    by `rise`, with the slopes `left` and `right` per cell at its ends."""
+    bend = 3.0 * rise - 2.0 * left - right + t * (left + right - 2.0 * rise)
+    return y + t * (left + t * bend)
+
+
+@routine(inline=True)
 def _cell_of(first: float, per_edge: float, cells: float, s: float) -> tuple[Any, Any]:
     """Row of the polynomial that holds at s > 0, and its argument; the first three
     arguments are those of row 0."""
