@@ -12,7 +12,7 @@ import numpy as np
 
 from eqsim.errors import InputError, meant, require_integer, require_number
 from eqsim.fitting.data import MeasuredAt
-from eqsim.fitting.estimate import principal_axes
+from eqsim.fitting.estimate import covariance
 from eqsim.fitting.fit import Prepared, prepare
 from eqsim.fitting.model import Problem, velocity_of
 from eqsim.io.runfile import RunFile
@@ -64,14 +64,8 @@ class Design(NamedTuple):
 
 
 def expected(jacobian: Array, index: int) -> float:
-    """Standard deviation of a parameter by the inverse of J'J; infinite if it moves
-    along a null direction."""
-    singular, rows = principal_axes(jacobian)
-    share = rows[:, index] ** 2
-    null = singular <= 1e-12 * singular[0]
-    if np.any(share[null] > 1e-12):
-        return math.inf
-    return float(np.sqrt(np.sum(share[~null] / singular[~null] ** 2)))
+    """Standard deviation of a parameter by the inverse of J'J."""
+    return math.sqrt(covariance(jacobian)[index, index])
 
 
 def design(

@@ -22,6 +22,10 @@ from eqsim.numerics.tables import Array
 DEGENERATE = 1e-7
 # Minima whose chi-square differs by less are taken for the same one.
 SAME_MINIMUM = 0.1
+# Singular value, relative to the largest, of a direction along which nothing changes, and
+# the least squared component of a parameter in a direction that moves it.
+_NULL = 1e-12
+_MOVED = 1e-12
 # Fall of chi-square that Gauss-Newton steps of `refine` still take, the share of it that
 # a step has to bring, and the most solves before a search with a trust region.
 _REFINED_GAIN = 5e-3
@@ -46,20 +50,29 @@ class Minimum(NamedTuple):
 
 class _Search:
     """Residuals as a function of the parameters that are searched: all but the linear
-    ones, which need no start, and that of index `held`."""
+    ones, which need no start, and that of index `held`; `x` holds their variables in
+    natural units."""
 
     def __init__(self, problem: Problem, u: Array, held: int, each: Each = map) -> None:
         self.problem, self.u, self.held, self.each = problem, u, held, each
         self.index = searched(problem, held)
-        self.low, self.high = problem.low[self.index], problem.high[self.index]
+        self.unit = problem.unit_of_variables[self.index]
+        self.low, self.high, self.start = (
+            ends[self.index] / self.unit for ends in (problem.low, problem.high, u)
+        )
         # all parameters and residuals; SciPy asks for some points twice
         self.known: dict[bytes, tuple[Array, Array]] = {}
+
+    def full(self, x: Array) -> Array:
+        """All parameters, the linear ones where the search began."""
+        full = self.u.copy()
+        full[self.index] = x * self.unit
+        return np.clip(full, self.problem.low, self.problem.high)
 
     def solved(self, x: Array) -> tuple[Array, Array]:
         """All parameters, the linear ones at their best, and residuals."""
         if x.tobytes() not in self.known:
-            full = self.u.copy()
-            full[self.index] = x
+            full = self.full(x)
             self.known[x.tobytes()] = self.problem.deviations(full, self.held)
         return self.known[x.tobytes()]
 
@@ -68,7 +81,8 @@ class _Search:
 
     def jacobian(self, x: Array) -> Array:
         """Derivatives of residuals by finite differences."""
-        step, each_alone = self.problem.step, np.eye(x.size, dtype=bool)
+        step = self.problem.steps(self.full(x))[self.index] / self.unit
+        each_alone = np.eye(x.size, dtype=bool)
         signed = np.where(x + step <= self.high, step, -step)
         ahead, behind = x + signed, x
         if self.problem.central:
@@ -96,7 +110,7 @@ def minimise(problem: Problem, u: Array, held: int = -1, each: Each = map) -> Mi
     """Least squares from `u`, with the parameter of index `held` fixed; linear ones need
     no start. `each` maps a function over the points of a derivative."""
     search = _Search(problem, u, held, each)
-    x, low, high = u[search.index], search.low, search.high
+    x, low, high = search.start, search.low, search.high
     if not x.size:
         return search.minimum(x, True)
     inset = 1e-9 * (high - low)
@@ -115,11 +129,12 @@ def refine(
     problem: Problem, u: Array, held: int, slopes: Array
 ) -> tuple[Minimum, Array]:
     """Least squares from a guess near the minimum, by steps of Levenberg and Marquardt
-    with derivatives `slopes` from nearby, shape (measurements + priors, searched), which
-    each step improves (Broyden, 1965). Where they lead astray steps become shorter, and
+    with derivatives `slopes` of residuals from nearby, with respect to variables in
+    natural units, shape (measurements + priors, searched), which each step improves
+    (Broyden, 1965). Where they lead astray steps become shorter, and
     they are found anew. Returns the minimum, and derivatives for the next guess."""
     search, fresh, damping, failed = _Search(problem, u, held), False, _DAMPING, 0
-    x, unit = u[search.index], np.minimum(search.high - search.low, 1.0)
+    x, unit = search.start, np.minimum(search.high - search.low, 1.0)
     converged = not x.size
     while len(search.known) < _MOST_REFINED and not converged:
         r = search.residuals(x)
@@ -285,10 +300,20 @@ def _product(components: dict[str, float]) -> str:
     )
 
 
+def inverse_root(jacobian: Array, least: float) -> tuple[Array, Array]:
+    """A root R of the inverse of J'J, which is R R', shape (parameters, directions),
+    without directions whose singular values are less than `least` times the largest,
+    each column of J in its own unit; and, for each parameter, whether these directions
+    move it."""
+    norm = np.linalg.norm(jacobian, axis=0)
+    norm[norm == 0.0] = 1.0
+    singular, rows = principal_axes(jacobian / norm)
+    known = singular > least * singular[0]
+    lost = np.any(rows[~known] ** 2 > _MOVED, axis=0)
+    return (rows[known] / singular[known, None] / norm).T, lost
+
+
 def covariance(jacobian: Array) -> Array:
-    """Inverse of J'J; infinite variances where it is singular."""
-    try:
-        inverse = np.linalg.inv(jacobian.T @ jacobian)
-    except np.linalg.LinAlgError:
-        return np.full((jacobian.shape[1],) * 2, np.inf)
-    return inverse if np.all(np.diag(inverse) >= 0) else np.full_like(inverse, np.inf)
+    """Inverse of J'J; infinite for parameters that move along a null direction."""
+    root, lost = inverse_root(jacobian, _NULL)
+    return np.where(lost | lost[:, None], np.inf, root @ root.T)

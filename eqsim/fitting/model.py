@@ -28,8 +28,10 @@ from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
-# Step of derivatives, in the variables of parameters.
+# Step of derivatives with respect to logarithms.
 DERIVATIVE_STEP = 1e-4
+# Least size of a linear variable, over the distance of its bounds, for such a step.
+_LEAST_SIZE = 1e-3
 # Relative changes of chi-square, parameters and gradient at which a search ends.
 TOLERANCE = 1e-8
 # Degrees of freedom of the robust loss.
@@ -163,7 +165,7 @@ class Problem:
     # Correlation of the errors of neighbours, (measurements - 1,), which form a Markov
     # chain; None if they are independent.
     correlation: Array | None = None
-    # Step of derivatives in the variables of parameters, and whether those of a search
+    # Step of derivatives with respect to logarithms, and whether those of a search
     # are central: one-sided ones lead it astray in long valleys of a model that is far
     # from the data.
     step: float = DERIVATIVE_STEP
@@ -277,7 +279,7 @@ class Problem:
         if self.loss == "student":  # normal deviates of the same likelihood
             r = np.sign(r) * np.sqrt((STUDENT + 1.0) * np.log1p(r**2 / STUDENT))
         pairs = zip(self.parameters, u, strict=True)
-        priors = [(x - p.prior.mean) / p.prior.sd for p, x in pairs if p.prior]
+        priors = [(p.prior.mean - x) / p.prior.sd for p, x in pairs if p.prior]
         return np.concatenate((r, priors))
 
     def white(self, r: Array) -> Array:
@@ -295,14 +297,14 @@ class Problem:
         """Derivatives of the predictions over their standard errors (and of priors)
         with respect to all parameters, the linear ones too, by central differences,
         shape (measurements + priors, parameters). Raises InputError."""
-        raw = self.forward.predict(self.changes(u))[0]
+        raw, steps = self.forward.predict(self.changes(u))[0], self.steps(u)
         columns, priors = [], []
         for i, one in enumerate(self.parameters):
             unit = np.arange(u.size) == i
-            down, up = u - self.step * unit, u + self.step * unit
+            down, up = u - steps * unit, u + steps * unit
             if self._exact(one):
                 low, high = (self._combined(raw, self.values(x)) for x in (down, up))
-                change = (high - low) / (2.0 * self.step)
+                change = (high - low) / (2.0 * steps[i])
             else:
                 down = np.maximum(down, np.minimum(u, self.low))
                 up = np.minimum(up, np.maximum(u, self.high))
@@ -324,11 +326,28 @@ class Problem:
             return -math.inf
         return -0.5 * float(r @ r)
 
-    def unitless(self, jacobian: Array) -> Array:
-        """Derivatives with respect to logarithms, and of other variables in units of
-        the distance of their bounds."""
+    @cached_property
+    def unit_of_variables(self) -> Array:
+        """Natural units of the parameters' variables: 1 of a logarithm, the distance of
+        the bounds of a linear one, and the smaller of both of ln(1 + x)."""
+        units = []
+        for one in self.parameters:
+            width = one.high - one.low
+            kinds = {"log": 1.0, "log1p": min(width, 1.0), "linear": width}
+            units.append(kinds[one.transform])
+        return np.array(units)
+
+    def steps(self, u: Array) -> Array:
+        """Steps of derivatives with respect to each variable: those of a linear one are
+        relative, as those of a logarithm are."""
+        unit = self.unit_of_variables
+        relative = np.maximum(np.abs(u), _LEAST_SIZE * unit)
         straight = [one.transform == "linear" for one in self.parameters]
-        return jacobian * np.where(straight, self.high - self.low, 1.0)
+        return self.step * np.where(straight, relative, unit)
+
+    def unitless(self, jacobian: Array) -> Array:
+        """Derivatives with respect to variables in their natural units."""
+        return jacobian * self.unit_of_variables
 
     def elsewhere(self, index: int, rows: Sequence[MeasuredAt]) -> "Problem":
         """The problem of measurements like the one with an index, made at other `rows`;

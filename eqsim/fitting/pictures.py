@@ -13,7 +13,7 @@ from scipy.interpolate import PchipInterpolator
 from eqsim.catalogue import LENGTH
 from eqsim.errors import require_package
 from eqsim.fitting.data import MEASURED
-from eqsim.fitting.estimate import DEGENERATE, principal_axes
+from eqsim.fitting.estimate import DEGENERATE, inverse_root
 from eqsim.fitting.model import AVERAGES, Problem, SteadyForward, velocity_of
 from eqsim.fitting.posterior import SHARES
 from eqsim.fitting.profiles import LEVELS, WIDE
@@ -46,15 +46,12 @@ def band(problem: Problem, result: "FitResult") -> tuple[Array, Array]:
     """Predictions of `problem` with the parameters of a fit, and their standard
     deviations by linear propagation of the covariance of the fit, without directions
     that have no effect."""
-    u, step = result.best.u, problem.step
+    u, steps = result.best.u, problem.steps(result.best.u)
     values, columns = problem.given(u), []
-    for i in range(u.size):
-        signed = step if u[i] + step <= problem.high[i] else -step
+    for i, signed in enumerate(np.where(u + steps <= problem.high, steps, -steps)):
         moved = u + signed * (np.arange(u.size) == i)
         columns.append((problem.given(moved) - values) / signed)
-    singular, rows = principal_axes(result.problem.jacobian(u))
-    keep = singular > _NO_EFFECT * singular[0]
-    root = (rows[keep] / singular[keep, None]).T  # of the inverse of J'J
+    root, _ = inverse_root(result.problem.jacobian(u), _NO_EFFECT)
     return values, np.sqrt(((np.array(columns).T @ root) ** 2).sum(axis=1))
 
 

@@ -70,7 +70,8 @@ class _Profile:
         self.problem, self.best, self.index, self.sign = problem, best, index, sign
         self.bound = problem.high[index] if sign > 0 else problem.low[index]
         self.length = abs(self.bound - best.u[index])
-        columns = jacobian[:, searched(problem, index)]
+        # residuals fall where predictions grow
+        columns = -problem.unitless(jacobian)[:, searched(problem, index)]
         linear = problem.linear & (np.arange(best.u.size) != index)
         if linear.any():  # these follow the others
             base = jacobian[:, linear]
@@ -82,7 +83,7 @@ class _Profile:
         points; where that leads astray also from the nearest one."""
         near, *others = sorted(self.points, key=lambda p: abs(p.distance - distance))
         guess = near.u
-        if others and abs(near.distance - others[0].distance) > 1e-12:
+        if others and abs(near.distance - others[0].distance) > 1e-12 * self.length:
             other = others[0]
             t = (distance - near.distance) / (other.distance - near.distance)
             guess = near.u + (other.u - near.u) * min(max(t, -2.0), 2.0)
@@ -156,7 +157,7 @@ def side(
     profile = _Profile(problem, best, index, sign, jacobian)
     length, sd = profile.length, math.sqrt(covariance(jacobian)[index, index])
     if length > 0:
-        step = max(sd if math.isfinite(sd) else length, 1e-6 * max(length, 1e-12))
+        step = max(sd if math.isfinite(sd) else length, 1e-6 * length)
         profile.follow(min(step, 0.25 * length))
     ends = {name: profile.end(level) for name, level in LEVELS.items()}
     rise = np.array([point.rise for point in profile.points])

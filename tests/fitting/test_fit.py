@@ -13,6 +13,7 @@ import tomllib
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -28,7 +29,8 @@ from eqsim.fitting.data import read_table
 from eqsim.fitting.estimate import Minimum, covariance, ladder, minimise, starts
 from eqsim.fitting.fit import fit, goodness, prepare
 from eqsim.fitting.model import Problem
-from eqsim.fitting.section import Parameter, parameters_of, section_of
+from eqsim.fitting.pictures import band
+from eqsim.fitting.section import NormalPrior, Parameter, parameters_of, section_of
 from eqsim.io.runfile import at, check, load, parameters
 from eqsim.master.steady import curve
 
@@ -732,6 +734,20 @@ def test_ladder():
     assert np.all(np.isinf(covariance(np.zeros((3, 2)))))
 
 
+def test_covariance_of_keys_that_only_their_product_tells():
+    """Two columns of J that differ by 1e-10 of a third one, or not at all: the third
+    parameter keeps its standard deviation, and the others have those of exact
+    arithmetic, or none; to 1e-4, what rounding leaves of the differences."""
+    a, b, c = np.random.default_rng(2).standard_normal((3, 12))
+    straight = np.sqrt(np.diag(np.linalg.inv(np.array([a, b, c]) @ np.c_[a, b, c])))
+    split = np.sqrt(np.diag(covariance(np.c_[a, a + 1e-10 * b, c])))
+    assert split[[1, 2]] == pytest.approx([1e10 * straight[1], straight[2]], rel=1e-4)
+    same = np.sqrt(np.diag(covariance(np.c_[a, a, 1e-20 * c])))
+    assert list(np.isinf(same)) == [True, True, False]
+    alone = np.sqrt(np.linalg.inv(np.array([a, c]) @ np.c_[a, c])[1, 1])
+    assert same[2] == pytest.approx(1e20 * alone, rel=1e-12)
+
+
 def test_public_name():
     assert eqsim.fit.__wrapped__ is fit
 
@@ -794,3 +810,103 @@ def test_a_side_of_a_parabola():
     near = Minimum(np.array([2.0]), 0.0, True, 1)
     near = profiles.side(problem, near, 0, 1, slope / 100.0)
     assert near.ends["95"] == pytest.approx(right.ends["95"], abs=0.02)
+
+
+KEYS = ("thermal.kT", "thermal.attempt_frequency")
+
+
+class Formula:
+    """Predictions by a function of the values of `KEYS`."""
+
+    scaled = False
+
+    def __init__(self, function):
+        self.function = function
+
+    def predict(self, changes):
+        predicted = self.function(*(changes[key] for key in KEYS))
+        return predicted, np.zeros(predicted.size)
+
+
+def problem_of_formula(function, parameters, value, sigma, **more):
+    none = np.full(value.size, -1)
+    errors = np.full(value.size, sigma)
+    unit = np.ones(value.size)
+    forward = Formula(function)
+    return Problem(forward, parameters, value, errors, none, unit, none > 0, **more)
+
+
+def ends(problem, best, index):
+    """The 95 % interval, in the variable."""
+    jacobian = problem.jacobian(best.u)
+    sides = (profiles.side(problem, best, index, s, jacobian) for s in (-1, 1))
+    return [side.ends["95"] for side in sides]
+
+
+def test_profiles_move_other_parameters_off_their_bounds():
+    """Three linear measurements, whose best fit has the second parameter at its bound:
+    where the profile of the first passes 3.8415 the second one is inside. The end is
+    that of a quadratic equation; with the second kept at its bound it would be .23
+    nearer."""
+    A = np.array([[1.0, 1.0], [0.5, 1.0], [1.0, 0.2]])
+    free = [Parameter(KEYS[0], "log", -20.0, 20.0, 0.0)]
+    free += [Parameter(KEYS[1], "log", 0.0, 20.0, 0.5)]
+    value = A @ [0.0, -0.3]
+    problem = problem_of_formula(lambda *x: A @ np.log(x), free, value, 0.5)
+    best = minimise(problem, problem.start)
+    assert best.u[1] == pytest.approx(0.0, abs=1e-6)
+    inverse = np.linalg.inv(A.T @ A / 0.25)  # without the bound chi-square is 0 at best
+    low = -math.sqrt((best.chi2 + profiles.LEVELS["95"]) * inverse[0, 0])
+    assert ends(problem, best, 0)[0] == pytest.approx(low, abs=2e-3)
+
+
+@pytest.mark.parametrize("loss", ["gaussian", "student"])
+@pytest.mark.parametrize("transform", ["linear", "log1p"])
+@pytest.mark.parametrize("unit", [4e-21, 1e-9, 1e9])
+def test_intervals_in_any_unit(unit, transform, loss):
+    """A key between bounds that are small or large numbers: intervals are those of the
+    same key in a unit of its size, to 1e-3 of their width."""
+    x = np.linspace(0.0, 1.0, 9)
+    noise = np.random.default_rng(1).standard_normal(x.size)
+    value = 1.5 * np.exp(-1.2 * x) + 0.02 * noise
+    variable = {"linear": float, "log1p": math.log1p}[transform]
+
+    def intervals(unit):
+        bounds = (variable(y * unit) for y in (0.01, 10.0, 2.5))
+        free = [Parameter(KEYS[0], transform, *bounds)]
+        free += [Parameter(KEYS[1], "log", -3.0, 3.0, 0.0)]
+
+        def decay(y, height):
+            return height * np.exp(-y / unit * x)
+
+        problem = problem_of_formula(decay, free, value, 0.02, loss=loss)
+        best = minimise(problem, problem.start)
+        first = free[0].value(np.array(ends(problem, best, 0))) / unit
+        return np.array([first, ends(problem, best, 1)])
+
+    found, right = intervals(unit), intervals(1.0)
+    assert np.all(np.abs(found - right) < 1e-3 * np.diff(right))
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-9])
+def test_bands_in_any_unit(unit):
+    """Of forces in units of their size or in nanonewtons, with an offset: the standard
+    deviation of the curve is that of the covariance, to the error of one-sided
+    derivatives, 1e-4."""
+    x, offset = np.linspace(0.0, 1.0, 9), np.full(9, 0.1)
+    free = [Parameter(KEYS[0], "log", -5.0, 5.0, 0.0)]
+    free += [Parameter(KEYS[1], "log", -1.0, 1.0, 0.0, NormalPrior(0.0, 0.1))]
+    free += [Parameter("fit.offset", "linear", -unit, unit, 0.0, linear=True)]
+    problem = problem_of_formula(
+        lambda y, z: unit * z * np.exp(-y * x),
+        free,
+        unit * (np.exp(-1.3 * x) + offset),
+        0.02 * unit,
+        nuisance={"fit.offset": np.ones(x.size)},
+    )
+    best = minimise(problem, problem.start)
+    _, sd = band(problem, SimpleNamespace(best=best, problem=problem))
+    jacobian = problem.jacobian(best.u)
+    rows = problem.sigma[:, None] * jacobian[: x.size]
+    right = np.sqrt(np.diag(rows @ covariance(jacobian) @ rows.T))
+    np.testing.assert_allclose(sd, right, rtol=1e-3)
