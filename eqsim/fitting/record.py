@@ -191,8 +191,9 @@ class RecordForward:
     """The mean field along a programme at the times of a record, at unit scale.
 
     With a stage it is solved with coarse time steps. What these miss, relative to the
-    force, hardly depends on the parameters: it is found once, as the `correction`, with
-    its relative `error`. A solve that chooses its own time steps is a rough function of
+    largest force, hardly depends on the parameters (relative to the force itself it
+    does, where that passes 0): it is found once, as the `correction`, with its relative
+    `error`. A solve that chooses its own time steps is a rough function of
     parameters; with the `choices` made at some parameters it is smooth near these.
     """
 
@@ -217,7 +218,8 @@ class RecordForward:
             means = summed(kinds, [means_along(one.contacts, *drive) for one in kinds])
             return means.force[course.points], means.force_error[course.points]
         force = self._coarse(course)
-        return force * (1.0 + self.correction), np.abs(force) * self.error
+        largest = np.full(force.size, np.abs(force).max())
+        return force + self.correction * largest, self.error * largest
 
     def corrected(self, changes: dict[str, float], each: Each = map) -> "RecordForward":
         """Find the correction at these parameters, by Richardson extrapolation of
@@ -228,9 +230,11 @@ class RecordForward:
             return self
         forces = each(lambda fine: force_of(*course[:3], fine)[course.points], (2, 4))
         middle, finest = forces
-        correction = (4.0 * finest - middle) / 3.0 / self._coarse(course) - 1.0
-        error = np.abs(finest / middle - 1.0) / 3.0
-        return replace(self, correction=correction, error=error)
+        coarse = self._coarse(course)
+        largest = np.abs(coarse).max()
+        missed = (4.0 * finest - middle) / 3.0 - coarse
+        error = np.abs(finest - middle) / 3.0
+        return replace(self, correction=missed / largest, error=error / largest)
 
     def settle_steps(self, changes: dict[str, float]) -> "RecordForward":
         """Take the time steps that a solve at these parameters chooses; uncorrected."""

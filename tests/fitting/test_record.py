@@ -65,6 +65,48 @@ def test_prediction_is_the_mean_field(folder):
     assert np.abs(better - exact.force).max() < 0.3 * np.abs(coarse - exact.force).max()
 
 
+AHEAD = {"velocity": 0.5, "time": 4.0}
+BACK = {"velocity": -0.5, "time": 8.0}
+
+
+@pytest.mark.parametrize(
+    ("start", "programme"),
+    [
+        ({"start": "fresh"}, [AHEAD]),
+        ({"start": "stationary", "velocity": 0.5}, [AHEAD, BACK]),
+    ],
+)
+def test_forces_may_be_0(folder, start, programme):
+    """From a fresh start, whose force is 0, or through 0 after a reversal: what coarse
+    steps miss, found with other thresholds, does more good than harm; the error that is
+    left at those thresholds themselves is 10 times smaller. Relative to the force itself
+    it would be 0/0, or 7 times too large."""
+    base = {"contacts": {"stiffness_law": "uniform"}, "thermal": {"kT": 0.05}}
+    drive = {**start, "programme": programme, "stage": {"stiffness": 0.5}}
+    base |= {"drive": drive}
+
+    def exact(x_star):
+        file = check(base | {"thresholds": {"x_star": x_star}})
+        return transient(file.ensemble, file.drive, 81)
+
+    write(folder, np.ones(81), exact(1.0).t)
+    free = {"thresholds.x_star": {"bounds": [0.2, 5.0]}}
+    section = {"record": {"file": "record.csv"}, "noise": {"absolute": 0.003}}
+    file = check(base | {"fit": {**section, "free": free}}, folder)
+    problem = prepare(file, None, False).problem
+    problem = settle_steps(problem, problem.start)
+    coarse = problem.forward
+    forward = coarse.corrected({"thresholds.x_star": 1.0})
+    off = {}
+    for x_star in (0.7, 1.0):
+        force = exact(x_star).force
+        for name, one in (("coarse", coarse), ("corrected", forward)):
+            predicted, _ = one.predict({"thresholds.x_star": x_star})
+            off[name, x_star] = np.abs(predicted - force).max()
+    assert off["corrected", 0.7] < off["coarse", 0.7]
+    assert off["corrected", 1.0] < 0.1 * off["coarse", 1.0]
+
+
 def test_slip_that_was_recorded_drives_the_slider(tmp_path):
     """Contacts know the slider's way alone: driven along the slip of a run behind a
     spring, without one, they have its force at T = 0, where no time passes, within the
