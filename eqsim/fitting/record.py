@@ -53,8 +53,9 @@ _COARSE = 0.7
 _MOST_SOLVER_STEPS = 4000
 # Rows of a record from which on it is read as block means, unless told otherwise.
 _MOST_ROWS = 2000
-# Correlation of neighbours below which they are independent.
-_LEAST_CORRELATION = 0.02
+# Independent points that a point is worth, from which on all are independent: that of
+# neighbours with a correlation of .02.
+_INDEPENDENT = 0.98 / 1.02
 
 
 def programme_of(file: RunFile) -> Programme:
@@ -332,7 +333,8 @@ def correlated(
     least = optimize.minimize_scalar(deviance, bounds=bounds, method="bounded")
     tau = math.exp(least.x)
     rho = np.exp(-gap / tau)
-    if np.median(rho) < _LEAST_CORRELATION:
+    worth = (1.0 - rho) / (1.0 + rho)
+    if worth.mean() > _INDEPENDENT:
         return replace(problem, correlation=None), Correlation(0.0, float(t.size))
-    effective = 1.0 + float(np.sum((1.0 - rho) / (1.0 + rho)))
+    effective = 1.0 + float(np.sum(worth))
     return replace(problem, correlation=rho), Correlation(tau, effective)

@@ -5,7 +5,7 @@ import json
 import math
 import re
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +17,10 @@ from eqsim import InputError, load
 from eqsim.cli.app import app
 from eqsim.fitting.estimate import covariance, minimise
 from eqsim.fitting.fit import fit, goodness, prepare
+from eqsim.fitting.model import Problem
 from eqsim.fitting.profiles import LEVELS
-from eqsim.fitting.record import correlated, settle_steps, shapes
-from eqsim.fitting.section import section_of
+from eqsim.fitting.record import RecordForward, correlated, settle_steps, shapes
+from eqsim.fitting.section import Parameter, section_of
 from eqsim.io.runfile import check
 from eqsim.master.transient import transient
 
@@ -196,6 +197,42 @@ def test_whitened_errors_are_independent(folder):
         problem, value=exact + problem.sigma * markov(0.0, 5, exact.size)
     )
     assert correlated(independent, u, TIMES)[1].effective > 50
+
+
+@dataclass(frozen=True)
+class Nothing(RecordForward):
+    """A record of its offset alone."""
+
+    def predict(self, changes):
+        return np.zeros(self.time.size), np.zeros(self.time.size)
+
+    def settle_steps(self, changes):
+        return self
+
+    def corrected(self, changes, each=map):
+        return self
+
+
+def test_neighbours_are_correlated_where_points_are_dense():
+    """200 records of an offset, 0, most of whose points are ten correlation times apart
+    and the others a tenth of one: 95 % intervals miss it in more than 24 fair cases once
+    in 10 000 times; if the former points made all errors independent, about 98 would."""
+    t = np.concatenate((np.arange(0.0, 1200.0, 10.0), 1200.0 + 0.1 * np.arange(80)))
+    rho, missed = np.exp(-np.diff(t)), 0
+    free = [Parameter("fit.offset", "linear", -10.0, 10.0, 0.0, linear=True)]
+    none, ones = np.full(t.size, -1), np.ones(t.size)
+    for seed in range(200):
+        r = np.random.default_rng(seed).standard_normal(t.size)
+        for i, past in enumerate(rho, 1):
+            r[i] = past * r[i - 1] + math.sqrt(1.0 - past**2) * r[i]
+        forward = Nothing(None, t, None, 1.0)
+        problem = Problem(forward, free, r, ones, none, ones, none > 0)
+        problem = replace(problem, nuisance={"fit.offset": ones})
+        problem, _ = correlated(problem, minimise(problem, problem.start).u, t)
+        best = minimise(problem, problem.start)
+        sd = math.sqrt(covariance(problem.jacobian(best.u))[0, 0])
+        missed += abs(best.u[0]) > 1.96 * sd
+    assert missed <= 24
 
 
 def test_likelihood_of_correlated_errors(folder):
