@@ -1,6 +1,9 @@
 """The command that writes a first run file: new."""
 
+import json
+import os
 import re
+import tomllib
 from pathlib import Path
 from typing import Annotated
 
@@ -22,7 +25,7 @@ _STIFFNESS = "Of one contact, with its unit."
 _MICROMETRE, _MILLINEWTON = 1e-6, 1e-3
 _TEXT = """\
 # `eqsim keys SECTION` says what else a section may hold.
-title = "{title}"
+title = {title}
 
 [units]                  # of all numbers below
 length = "um"
@@ -75,6 +78,8 @@ def new(
         raise InputError(f"{path}: must end in .toml")
     if path.exists():
         raise InputError(f"{path}: is there already")
+    if column is not None and thresholds is None:
+        raise InputError(f"--column {column}: is for the file of --thresholds")
     given = "1.0          # mN/um, assumed"
     if stiffness is not None:
         value, of = units.measured(stiffness) or (0.0, LENGTH)
@@ -83,16 +88,20 @@ def new(
             raise InputError(f"--stiffness {stiffness}: {said}")
         given = f"{value * _MICROMETRE / _MILLINEWTON:<13.6g}# mN/um"
     law = _GAMMA if thresholds is None else _law(thresholds, column, path.parent)
-    text = _TEXT.format(title=path.stem, stiffness=given, thresholds=law)
+    text = _TEXT.format(title=_quoted(path.stem), stiffness=given, thresholds=law)
+    # a file that cannot be used is none
+    _ = runfile.check(tomllib.loads(text), path.parent).ensemble
     storage.publish(path.parent, {path.name: text.encode()}, str(path))
-    runfile.load(path)
     shown.report({"file": str(path)}, notes=[f"{path}; next: eqsim run {path}"])
 
 
 def _law(path: Path, column: str | None, folder: Path) -> str:
     """The section of measured thresholds, with the unit in the name of the column."""
     sheet = csv.read(path, f"--thresholds {path}")
-    name = sheet.columns[sheet.index(column)] if column else sheet.columns[0]
+    name = sheet.columns[sheet.index(column) if column else 0]
+    if sheet.headless and len(sheet.columns) > 1:
+        said = "needs names of its columns in its first line"
+        raise InputError(f"--thresholds {path}: {said}")
     unit = re.search(r"[\[(]([^\])]+)[\])]$", name)
     value, of = (units.measured(f"1 {unit[1]}") if unit else None) or (0.0, LENGTH)
     if of not in (LENGTH, FORCE):
@@ -101,10 +110,20 @@ def _law(path: Path, column: str | None, folder: Path) -> str:
     quantity = "force" if of == FORCE else "stretch"
     ours = "mN" if of == FORCE else "um"
     scale = value / (_MILLINEWTON if of == FORCE else _MICROMETRE) if value else 1.0
-    where = path if path.is_absolute() else path.resolve().relative_to(folder.resolve())
-    lines = ['law = "table"', f'file = "{where.as_posix()}"']
+    # resolved, as ".." after a link leads elsewhere
+    where = path if path.is_absolute() else path.resolve()
+    if not path.is_absolute() and where.anchor == folder.resolve().anchor:
+        where = Path(os.path.relpath(where, folder.resolve()))
+    lines = ['law = "table"', f"file = {_quoted(where.as_posix())}"]
     if not sheet.headless:
-        lines.append(f'column = "{name}"')
+        lines.append(f"column = {_quoted(name)}")
     lines.append(f'quantity = "{quantity}"')
     told = "" if value else ", assumed: its column names no unit"
     return "\n".join([*lines, f"scale = {scale:.6g}  # to {ours}{told}"])
+
+
+def _quoted(text: str) -> str:
+    """A text in TOML. Raises InputError for one that is not in UTF-8."""
+    if not text.isprintable():
+        raise InputError(f"{text!r}: must be printable, to stand in a run file")
+    return json.dumps(text, ensure_ascii=False)
