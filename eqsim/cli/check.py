@@ -3,13 +3,14 @@
 import os
 from collections.abc import Iterator
 from dataclasses import asdict
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
 from typer import Argument, Exit, Option
 
 from eqsim.cli.options import Shown, Threads, cores
-from eqsim.errors import require_integer
+from eqsim.errors import InputError, require_integer
 from eqsim.io import storage
 from eqsim.lazy import lazily
 
@@ -92,6 +93,9 @@ def export(
     """Write tables as CSV; comment lines hold the run file and what columns mean:
     pandas.read_csv(FILE, comment="#")."""
     found = tables.tables(path)
+    if len(found) > 1 and out and out.suffix == ".csv" and not out.is_dir():
+        said = f"must be a folder, for {len(found)} tables"
+        raise InputError(f"--out {out}: {said}")
     first = next(iter(found.values()))[0]
     sweep = tables.sweep_of(first)
     dataset = sweep or first.parent
@@ -105,6 +109,11 @@ def export(
         alone.name if alone else f"{name}.csv": tables.as_csv(parts)
         for name, parts in found.items()
     }
+    written = [folder / name for name in files]
+    sources = {part.resolve() for part in chain(*found.values())}
+    for place in written:
+        if place.resolve() in sources:
+            raise InputError(f"--out {place}: is the table that is exported")
     storage.publish(folder, files)
-    written = [os.path.relpath(folder / name) for name in files]
-    shown.report({"files": written}, notes=written)
+    names = list(map(os.path.relpath, written))
+    shown.report({"files": names}, notes=names)

@@ -1,6 +1,7 @@
 """Tables as CSV: what they hold, what their comments say, and where they are written."""
 
 import json
+import shutil
 import subprocess
 import sys
 
@@ -270,6 +271,24 @@ def test_a_sweep_of_version_1(made, tmp_path):
         )
         assert drawn.exit_code == 0, drawn.output
         assert drawn.stderr == ""
+
+
+def test_tables_are_not_overwritten(made, tmp_path):
+    """A table is not its own CSV file, and several are not one."""
+    table = shutil.copy(made / "out" / "a" / "trajectory.parquet", tmp_path / "x.csv")
+    before = table.read_bytes()
+    for given in (["--out", table], []):
+        done = call("export", table, *given)
+        assert done.exit_code == 2
+        assert done.stderr.endswith("x.csv: is the table that is exported\n")
+        assert table.read_bytes() == before
+    shutil.copy(table, tmp_path / "a.parquet")
+    shutil.copy(table, tmp_path / "b.parquet")
+    done = call("export", tmp_path, "--out", tmp_path / "all.csv")
+    assert done.exit_code == 2
+    assert done.stderr.endswith("all.csv: must be a folder, for 2 tables\n")
+    assert call("export", tmp_path, "--out", tmp_path / "all").exit_code == 0
+    assert len([*(tmp_path / "all").iterdir()]) == 2
 
 
 def test_text_with_comment_signs(tmp_path):
