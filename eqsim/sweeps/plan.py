@@ -206,11 +206,15 @@ def identity(point: RunFile, ensemble: Ensemble) -> str:
     file."""
     values = naming(point)
     seed = values.pop("output.seed")
-    law = ensemble.thresholds
-    if isinstance(law, Table):
-        values["thresholds.file"] = hashlib.sha256(law.steps.tobytes()).hexdigest()
-    for name in ("column", "scale", "quantity"):
-        del values[f"thresholds.{name}"]
+    laws = {"": ensemble.thresholds}
+    for index, population in enumerate(ensemble.populations):
+        laws[f"population.{index}."] = population.thresholds or ensemble.thresholds
+    for above, law in laws.items():
+        if isinstance(law, Table):
+            digest = hashlib.sha256(law.steps.tobytes()).hexdigest()
+            values[f"{above}thresholds.file"] = digest
+        for name in ("column", "scale", "quantity"):
+            values.pop(f"{above}thresholds.{name}", None)
     text = json.dumps([values, seed, RESULTS_VERSION], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -182,6 +182,23 @@ def test_a_table_of_thresholds_enters_with_its_values(tmp_path):
     assert plan_of(text, tmp_path).ids != before
 
 
+def test_a_table_of_a_population_enters_with_its_values(tmp_path):
+    """Its name and its column do not; else a sweep over files would go on with the rows
+    of those that have changed."""
+    kind = "[[population]]\nshare = 1\nstiffness = 1.0\n"
+    table = '[population.thresholds]\nlaw = "table"\nfile = "x.csv"\n'
+    axis = '[sweep]\n"population.1.thresholds.file" = ["x.csv", "y.csv"]\n'
+    text = "[drive]\nvelocity = 1.0\n" + 2 * kind + table
+    for name, last in (("x", 2.0), ("y", 3.0)):
+        (tmp_path / f"{name}.csv").write_text(f"threshold\n1.0\n{last}\n")
+    before = plan_of(text + axis, tmp_path).ids
+    (tmp_path / "y.csv").rename(tmp_path / "z.csv")
+    assert plan_of(text + axis.replace("y.csv", "z.csv"), tmp_path).ids == before
+    (tmp_path / "y.csv").write_text("threshold\n1.0\n4.0\n")
+    now = plan_of(text + axis, tmp_path).ids
+    assert (now[0] == before[0], now[1] == before[1]) == (True, False)
+
+
 def test_rates_without_a_rule_are_refused():
     """Nothing would age, and nobody would know; with a rule, or the rule as an axis,
     something does."""
