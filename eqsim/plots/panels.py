@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from eqsim.catalogue import LENGTH, Dimension
 from eqsim.estimate import Estimate
@@ -99,6 +100,9 @@ def scores(axes: Axes, z: Array, label: str = "difference") -> None:
     limit = max(4.0, 1.1 * np.abs(z).max())
     axes.axhspan(-2, 2, color="0.9")
     axes.set(ylim=(-limit, limit), ylabel=f"{label}\n[standard errors]")
+    # Labels of half numbers come and go with the height of the panel: the layout, which
+    # changes it, would leave them no room.
+    axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
 
 
 def draw_sizes(

@@ -9,6 +9,7 @@ import matplotlib.colors
 import numpy as np
 import pytest
 from command_line import call
+from matplotlib.ticker import AutoLocator
 from typer.testing import CliRunner
 
 from eqsim import load
@@ -18,6 +19,7 @@ from eqsim.io import labels
 from eqsim.io.runfile import keys
 from eqsim.io.units import Units
 from eqsim.plots import style
+from eqsim.plots.style import saved
 from eqsim.workflows.curve import curve
 from eqsim.workflows.run import run
 
@@ -79,6 +81,26 @@ def test_a_run_shows_its_title_its_contacts_and_its_transient(run_file):
     assert figure.legends[0].get_window_extent().y1 < lowest
     short = simulated(run_file, {"drive.distance": 10.0})  # control: nothing to enlarge
     assert len(short.axes) == 3
+
+
+def test_labels_are_within_the_page(run_file):
+    """Also that of differences, whose panel is low: with half numbers on its axis, which
+    come and go with its height (control), it is not."""
+
+    def left_end(figure):
+        saved(figure)
+        return min(
+            axes.yaxis.label.get_window_extent().x0
+            for axes in figure.axes
+            if axes.get_ylabel()
+        )
+
+    changes = {"drive.distance": 5.0, "output.points": 101}
+    figure = simulated(run_file, changes)
+    assert left_end(figure) > 0.0
+    figure = simulated(run_file, changes)
+    figure.axes[1].yaxis.set_major_locator(AutoLocator())
+    assert left_end(figure) < 0.0
 
 
 def test_titles_say_what_is_simulated(run_file):
