@@ -95,6 +95,8 @@ def sweep(
         values = ", ".join(f"{key} = {x}" for key, x in failure["changes"].items())
         message = shared.typed(failure["message"])
         complain(f"point {failure['point']} ({values}) failed: {message}")
+    if (more := found.failed - len(failures)) and not shown.json:
+        complain(f"{more} more failed; the column `message` says why")
     if found.failed:
         raise Exit(1)
 
@@ -146,9 +148,13 @@ def plot(
         key, equals, value = (part.strip() for part in item.partition("="))
         if not key or not equals:
             raise InputError(f"--where {item}: must be KEY=VALUE")
+        if key in chosen:
+            raise InputError(f"--where {item}: {key} has a value already")
         chosen[key] = value
     name = folder.absolute().name
-    ys = [name.strip() for name in y.split(",")] if y is not None else []
+    ys: list[str] = []
+    if y is not None:  # each once
+        ys = [*dict.fromkeys(name.strip() for name in y.split(","))]
     which = "" if ys in ([], ["friction"]) else "-" + "-".join(ys)
     inches = picture.inches()
     file = picture.out or folder.absolute().parent / f"{name}{which}.png"

@@ -440,7 +440,7 @@ def _draw_series(
     reference = f"{y}_reference"
     if dashed and reference in members and members[reference].notna().any():
         marks.add("dashes")
-        known = members.drop_duplicates(x).dropna(subset=reference)
+        known = members.dropna(subset=reference).drop_duplicates(x)
         axes.plot(
             known[x], known[reference], color=color, markersize=13, zorder=2, **_DASH
         )

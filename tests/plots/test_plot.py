@@ -512,6 +512,10 @@ def test_other_parameters_must_be_chosen(tmp_path):
         (["--where", "kT=1"], "--where kT: no such column"),
         (["--where", "kT"], "--where kT: must be KEY=VALUE"),
         (
+            ["--where", "thermal.kT=1", "--where", "thermal.kT=0.1"],
+            "--where thermal.kT=0.1: thermal.kT has a value already",
+        ),
+        (
             ["--where", "thermal.kT=2"],
             "--where thermal.kT=2: no point has this value; there are 0.01, 0.1, 1",
         ),

@@ -30,6 +30,7 @@ from test_grid import BASE, file_of, plan_of
 from typer.testing import CliRunner
 from waiting import once
 
+from eqsim.cli import survey
 from eqsim.cli.app import app
 from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import trajectory
@@ -172,7 +173,7 @@ def test_transient(tmp_path):
     assert (table[["friction_dof", "break_stretch_dof"]] == 63).all(axis=None)
 
 
-def test_failed_and_unreliable_points_do_not_stop_the_others(tmp_path):
+def test_failed_and_unreliable_points_do_not_stop_the_others(tmp_path, monkeypatch):
     """A velocity beyond all groups fails, now and when the sweep is asked for again;
     the rest are ok."""
     path = tmp_path / "a.toml"
@@ -188,6 +189,10 @@ def test_failed_and_unreliable_points_do_not_stop_the_others(tmp_path):
     summary = json.loads(result.stdout)
     assert (summary["points"], summary["ok"], summary["failed"]) == (3, 2, 1)
     assert summary["failures"][0]["changes"]["drive.velocity"] == 1e-100
+    monkeypatch.setattr(survey, "_MOST_FAILURES", 0)
+    again = CliRunner().invoke(app, ["sweep", str(path), "--out", str(out)])
+    assert again.stderr == "eqsim: 1 more failed; the column `message` says why\n"
+    monkeypatch.undo()
     table = pd.read_parquet(out)
     assert list(table["status"]) == ["ok", "failed", "ok"]
     assert "-230" in table["message"][1]
