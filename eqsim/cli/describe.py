@@ -98,7 +98,10 @@ def _in_plain_text(markdown: str) -> str:
     """A line of the documentation without its links and marks."""
     text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", markdown)
     text = re.sub(r"; see [^.]*", "", text)
-    return re.sub(r"[`$\\]", "", text.replace("\\ln", " ln"))
+    text = re.sub(r"\\text\{(\w+)\}", r"\1", text).replace(r"\propto", " ~ ")
+    text = re.sub(r"\\sqrt\{((?:[^{}]|\{[^{}]*\})*)\}", r" sqrt(\1)", text)
+    text = re.sub(r"\\ln(?=\\)", " ln ", text).replace(r"\ln", " ln")
+    return re.sub(" +", " ", re.sub(r"[`$\\]", "", text))
 
 
 def material(

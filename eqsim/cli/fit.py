@@ -10,6 +10,7 @@ from typer import Argument, Exit, Option
 
 from eqsim.cli.options import Changes, Processes, RunFilePath, Shown, cores
 from eqsim.errors import (
+    NOT_NEGATIVE,
     POSITIVE,
     InputError,
     require_choice,
@@ -199,11 +200,14 @@ class RecordOptions:
     def record(self, path: Path, changes: Changes) -> "runfile.RunFile":
         """The run file of a record, which may be a CSV file. Raises InputError."""
         if path.suffix.lower() == ".toml":
+            said = "only of a CSV file; a run file says it itself"
             for name in ("velocity", "at", "columns"):
                 if (value := getattr(self, name)) is not None:
-                    said = "only of a CSV file; a run file says it itself"
                     raise InputError(f"--{name} {value}: {said}")
+            if self.noise:
+                raise InputError(f"--noise {self.noise:g}: {said}")
             return changes.load(path)
+        require_number("--noise", self.noise, **NOT_NEGATIVE)
         if changes.given():
             raise InputError("--set, --seed: change a run file, and this is a record")
         if self.velocity is None:

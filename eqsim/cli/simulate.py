@@ -20,7 +20,7 @@ with lazily():
     from eqsim.workflows import stability as solving
 
 F_K = "f_k: F/(N_c k), the elastic force per pinned contact, the f_k of the paper; friction is F/(N k)."
-PEAK = "peak_force, peak_X: the static peak, the first maximum of the force after a fresh start."
+PEAK = "peak_force (or peak_mu, ...), peak_X: the static peak, the first maximum of the force after a fresh start."
 _RESULTS = "Results folder. Default: out/NAME beside the run file."
 _NO_EXACT = "Particles only: no exact curve beside them."
 _WORKERS = "Split the ensemble over so many processes; results are the same."

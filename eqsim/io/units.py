@@ -211,6 +211,11 @@ class Quantity(NamedTuple):
         return self.name.replace("_", " ")
 
     @property
+    def short(self) -> str:
+        """Its name on a terminal."""
+        return "mu" if self.symbol == "mu" else self.name
+
+    @property
     def column(self) -> str:
         """Its name in tables, where `force` is F/(N k), a length."""
         return "friction_force" if self.name == "force" else self.name
@@ -393,6 +398,5 @@ def rows_of(
         unit = units.label(OBSERVABLES[name].dimension)
         rows.append((name, Row(name, (unit,) * several)))
         for one in found if name == "friction" else ():
-            label = "mu" if one.symbol == "mu" else one.name
-            rows.append((name, Row(label, (one.unit,), one)))
+            rows.append((name, Row(one.short, (one.unit,), one)))
     return rows

@@ -10,7 +10,6 @@ import numpy as np
 from eqsim.engine.elastic import check_elastic, simulate_blocks
 from eqsim.engine.records import ElasticTrajectory
 from eqsim.estimate import Estimate, difference
-from eqsim.io import terminal
 from eqsim.io.runfile import RunFile
 from eqsim.io.states import kept
 from eqsim.lazy import lazily
@@ -19,7 +18,7 @@ from eqsim.master.steady import reference
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.elastic import Elastic
 from eqsim.numerics.tables import Array
-from eqsim.workflows.report import How, SimulatedFile, Solved
+from eqsim.workflows.report import How, SimulatedFile, Solved, difference_of
 
 with lazily():
     from eqsim.plots import blocks as draw
@@ -137,10 +136,9 @@ class ElasticResult(SimulatedFile):
         yield "", "this run", "expected", "z"
         over = "over time" if self.in_time else "over X"
         for name, (found, exact) in self.averages().items():
-            known: tuple[Any, ...] = "none", "none"
-            if exact.value is not None:
-                known = exact, terminal.score(difference(found, exact))
-            yield _AVERAGE_ROWS[name].format(over), found, *known
+            known = "none" if exact.value is None else exact
+            z = difference_of(found, exact)
+            yield _AVERAGE_ROWS[name].format(over), found, known, z
 
     def notes(self) -> Iterator[str]:
         run = self.trajectory

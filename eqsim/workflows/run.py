@@ -22,8 +22,7 @@ from eqsim.engine.records import (
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
-from eqsim.estimate import Estimate, difference, known, mean_of
-from eqsim.io import terminal
+from eqsim.estimate import Estimate, known, mean_of
 from eqsim.io.runfile import RunFile, opened
 from eqsim.io.units import Row
 from eqsim.lazy import lazily
@@ -40,7 +39,14 @@ from eqsim.sweeps.workers import Workers
 from eqsim.workflows.averages import unit_column
 from eqsim.workflows.elastic import ElasticResult, run_elastic
 from eqsim.workflows.peak import static_peak
-from eqsim.workflows.report import How, Progress, SimulatedFile, Solved, if_any
+from eqsim.workflows.report import (
+    How,
+    Progress,
+    SimulatedFile,
+    Solved,
+    difference_of,
+    if_any,
+)
 
 with lazily():
     from eqsim.plots import runs
@@ -142,17 +148,15 @@ class RunResult(SimulatedFile):
         yield "", "this run", "expected", *unit_column(rows), "z"
         for name, row in () if self._ends else rows:
             found, level = getattr(averages, name), getattr(self.steady, name)
-            yield _beside_expected(row, found, level, scored=not found.diverges)
+            yield _beside_expected(row, found, level)
         if self.peak is None:
             return
         quantity, length = self.file.preferred(self.peak.force), rows[0][1].unit
         unit = (quantity.unit,) if quantity else length
-        forces = Row("peak_force", unit, quantity)
+        forces = Row(f"peak_{quantity.short if quantity else 'force'}", unit, quantity)
         for name, row in (("force", forces), ("X", Row("peak_X", length))):
             exact = getattr(self.exact_peak, name, None)
-            yield _beside_expected(
-                row, getattr(self.peak, name), exact, scored=exact is not None
-            )
+            yield _beside_expected(row, getattr(self.peak, name), exact)
 
     def notes(self) -> Iterator[str]:
         averages = self.trajectory.averages.averages().values()
@@ -169,12 +173,10 @@ class RunResult(SimulatedFile):
 
 
 def _beside_expected(
-    row: Row, found: Estimate, exact: Estimate | None, scored: bool
+    row: Row, found: Estimate, exact: Estimate | None, scored: bool = True
 ) -> tuple[Any, ...]:
     """A row of an estimate, its expected value, and if `scored` z, their difference."""
-    z = "none"
-    if exact is not None and scored and found.value is not None:
-        z = terminal.score(difference(found, exact))
+    z = difference_of(found, exact) if scored else "none"
     known = "none" if exact is None else row.of(exact)
     return row.label, row.of(found), known, *row.unit, z
 
@@ -277,9 +279,8 @@ class ProgrammeResult(SimulatedFile):
             forces = f"{shown.symbol} then{unit}", "z", f"{shown.symbol} at its peak"
         yield "", "velocity", "until t", *forces, "after X or t"
         for index, segment in enumerate(segments[:_MOST_LINES]):
-            z = "none"
-            if exact:
-                z = terminal.score(difference(segment.end, exact[index].end))
+            level = exact[index].end if exact else None
+            z = difference_of(segment.end, level)
             velocity = "hold" if segment.velocity == 0 else f"{segment.velocity:.6g}"
             end, peak = row.of(segment.end), row.of(segment.peak)
             yield str(index), velocity, f"{segment.t:.6g}", end, z, peak, segment.at
@@ -412,8 +413,7 @@ class SliderResult(ProgrammeResult):
                 exact, z = "", ""
                 if known and name == "lifetime":
                     exact = f"{known.mean.value:.10g}"
-                    score = difference(found, known.mean)
-                    z = "none" if score is None else terminal.score(score)
+                    z = difference_of(found, known.mean)
                 yield name, found, exact, z
             yield from self._standing()
             return

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import psutil
@@ -27,6 +28,7 @@ from eqsim.estimate import OBSERVABLES, Estimate
 from eqsim.io import terminal
 from eqsim.io.terminal import Report, bar
 from eqsim.numerics.kernel_folder import locked_folder
+from eqsim.workflows.report import difference_of
 
 RUN = """
 title = "small"
@@ -116,6 +118,53 @@ def test_what_was_not_seen_is_not_exact(run_file, tmp_path):
     (row,) = [line for line in result.stdout.splitlines() if "break_stretch" in line]
     assert "none seen" in row
     assert "exact" not in row
+    blocks = "[elastic]\nblocks = 8\ncoupling = 1.0\ndrive_stiffness = 0.1\n"
+    contacts = '[contacts]\ncount = 80\nstiffness_law = "uniform"\n'
+    drive = "[drive]\nvelocity = 0.1\ndistance = 1e-3\n[output]\npoints = 5\n"
+    path = tmp_path / "blocks.toml"
+    path.write_text(contacts + blocks + drive)
+    result = call("run", path, "--out", tmp_path / "o2")
+    rows = [line for line in result.stdout.splitlines() if "none seen" in line]
+    assert [row.split()[-2] for row in rows] == ["none", "none"]
+
+
+@pytest.mark.parametrize(
+    ("estimate", "expected", "said"),
+    [
+        (Estimate(1.0, 0.0, 9), Estimate(1.0, 0.0, 0), "exact"),
+        (Estimate(1.0, 0.1, 9), Estimate(1.2, 0.0, 0), "-2.00"),
+        (Estimate(None, None, 0), Estimate(1.0, 0.0, 0), "none"),
+        (Estimate(1.0, None, 1), Estimate(1.0, 0.1, 0), "none"),
+        (Estimate(1.0, 0.1, 9), Estimate(None, None, 0), "none"),
+        (Estimate(1.0, 0.1, 9), None, "none"),
+    ],
+)
+def test_differences_from_what_is_expected(estimate, expected, said):
+    assert difference_of(estimate, expected) == said
+
+
+def test_rounded_counts_and_times():
+    """What rounds to a thousand has the next letter, what rounds to a second is one."""
+    printed = {999: "999", 999.6: "1 k", 999_400: "999 k", 999_999: "1 M", 0: "0"}
+    assert {number: terminal.count(number) for number in printed} == printed
+    printed = {0.9994: "999 ms", 0.9996: "1.0 s", 9.94: "9.9 s", 9.96: "10 s"}
+    printed |= {119.0: "119 s", 120.0: "2.0 min"}
+    assert {seconds: terminal.duration(seconds) for seconds in printed} == printed
+
+
+@pytest.mark.parametrize(
+    ("interface", "label"),
+    [
+        ("", "peak_force"),
+        ("contacts_per_area = 0.1\n", "peak_shear_stress"),
+        ("normal_load = 10.0\n", "peak_mu"),
+    ],
+)
+def test_the_peak_is_called_what_it_is(run_file, tmp_path, interface, label):
+    units = f'[units]\nforce = "mN"\n[interface]\n{interface}'
+    run_file.write_text(run_file.read_text() + units)
+    shown = call("run", run_file, "--out", tmp_path / "o").stdout
+    assert re.findall(r"│ (peak_\w+) ", shown) == [label, "peak_X"]
 
 
 def test_error_bars_that_cannot_be_trusted_say_so(tmp_path):
@@ -325,6 +374,11 @@ def test_bad_input(run_file, args, message):
             ["material", "steel", "--disorder", "x"],
             "--disorder x: is for the run file that --toml prints",
         ),
+        (["rsf", "RUN", "--noise", "0.1"], "--noise 0.1: only of a CSV file"),
+        (
+            ["rsf", "x.csv", "--velocity", "1", "--noise", "-1"],
+            "--noise = -1.0: must be",
+        ),
     ],
 )
 def test_options_are_named_as_they_are_typed(run_file, args, said):
@@ -363,14 +417,37 @@ def test_a_new_run_file_of_measured_thresholds(text, law, tmp_path):
         (["x.txt"], "x.txt: must end in .toml"),
         (["x.toml", "--stiffness", "2"], "--stiffness 2: must be a stiffness"),
         (["x.toml", "--thresholds", "no.csv"], "no.csv"),
+        (["x.toml", "--stiffness", "1e400 N/m"], "contacts.stiffness = inf"),
+        (["x.toml", "--column", "a"], "--column a: is for the file of --thresholds"),
+        (["x.toml", "--thresholds", "negative.csv"], "line 2: '-1' must be"),
+        (["x.toml", "--thresholds", "bare.csv"], "needs names of its columns"),
     ],
 )
 def test_bad_new_run_files(given, said, tmp_path, monkeypatch):
+    """What cannot be used is refused before a file is there."""
     monkeypatch.chdir(tmp_path)
+    Path("negative.csv").write_text("stretch (um)\n-1\n2\n")
+    Path("bare.csv").write_text("1.0,2.0\n2.0,3.0\n")
     done = call("new", *given)
     assert done.exit_code == 2
     assert said in done.stderr
-    assert not list(tmp_path.iterdir())
+    assert not Path("x.toml").exists()
+
+
+@pytest.mark.parametrize("name", ["mine.toml", "below/mine.toml", 'my "best" ü\\.toml'])
+@pytest.mark.parametrize("column", ["force (mN)", 'the "force"'])
+def test_new_run_files_of_any_name(name, column, tmp_path, monkeypatch):
+    """Names with quotes, and thresholds in another folder."""
+    monkeypatch.chdir(tmp_path)
+    quoted = column.replace('"', '""')
+    Path("s.csv").write_text(f'"{quoted}"\n0.8\n1.2\n')
+    Path("below").mkdir()
+    done = call("new", name, "--thresholds", "s.csv", "--column", column)
+    assert done.exit_code == 0, done.output
+    file = load(name)
+    assert file.title == Path(name).stem
+    assert file["thresholds.column"] == column
+    assert file.ensemble.thresholds.mean == pytest.approx(1.0, rel=1e-12, abs=0)
 
 
 def test_keys_of_run_files():
@@ -383,6 +460,12 @@ def test_keys_of_run_files():
         assert all(key["meaning"] for key in keys.values()), section
     found = json.loads(call("keys", "thermal.barrier", "--json").stdout)
     assert found["barrier"]["values"].startswith('"soft", "stiff"')
+    found = json.loads(call("keys", "contacts", "--json").stdout)
+    assert "k_i = k sqrt(f_{si}/f_s), wide" in found["stiffness_law"]["meaning"]
+    found = json.loads(call("keys", "thresholds", "--json").stdout)
+    assert "deviation of ln xi, 0.001" in found["sigma"]["meaning"]
+    assert "(x_*/x)^{exponent}, 3.05" in found["exponent"]["meaning"]
+    assert "P_c(x) ~ x^{1+2n}" in found["law"]["meaning"]
     wrong = call("keys", "termal")
     assert wrong.exit_code == 2
     assert wrong.stderr.endswith('did you mean "thermal"?\n')
