@@ -144,14 +144,19 @@ def from_parquet(content: bytes) -> Any:
 
 
 def left_over(folder: Path, command: str, written: dict[str, bytes]) -> list[str]:
-    """Names of the tables in a folder that an earlier call of the same command has left
-    there and that were not `written` again."""
+    """Names of what an earlier call of the same command has left in a folder and what
+    was not `written` again: tables, and pictures and exports of the same names in other
+    formats."""
     from pyarrow import ArrowException
     from pyarrow import parquet as pq
 
-    found = []
-    for path in sorted(folder.glob("*.parquet")):
+    found, stems = [], {Path(name).stem for name in written}
+    for path in sorted(folder.iterdir()):
         if path.name in written:
+            continue
+        if path.suffix in (".csv", ".png", ".pdf", ".svg") and path.stem in stems:
+            found.append(path.name)
+        if path.suffix != ".parquet":
             continue
         try:
             origin = origin_of(pq.read_schema(path))

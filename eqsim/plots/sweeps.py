@@ -206,8 +206,8 @@ def sweep_figure(
 
     Bars are two standard errors (column `y`_stderr). The master equation is solved anew
     for a line between the points where that takes little time, else dashes are its
-    values at the points (`y`_reference); points of `status` "unreliable" are open,
-    those of "failed" left out. The x axis is logarithmic if `log_x`, or by default if
+    values at the points (`y`_reference); points of `status` "unreliable", or of which y
+    is not reliable, are open, those of "failed" left out. The x axis is logarithmic if `log_x`, or by default if
     its values span more than a factor 30. More than eight series have a colour bar if
     the first column is of numbers. A `width` in inches is that on paper, where text has
     7 and 8 points. Raises InputError if a column is missing or is not of numbers, if a
@@ -451,6 +451,8 @@ def _draw_series(
     bar: dict[str, Any] = {"fmt": "none", "ecolor": color, "capsize": 2.5}
     axes.errorbar(members[x], members[y], bars, zorder=3, **bar)
     unsure = members["status"] == "unreliable"
+    if (reliable := f"{y}_reliable") in members:
+        unsure |= members[reliable].eq(False)
     for points, fill in ((members[~unsure], color), (members[unsure], "white")):
         how: dict[str, Any] = {"linestyle": "none", "markerfacecolor": fill, **style}
         axes.plot(points[x], points[y], zorder=4, **how)

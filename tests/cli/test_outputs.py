@@ -361,10 +361,18 @@ def test_fluctuations_that_there_are_none_of(tmp_path, change, message):
 
 
 def test_tables_of_an_earlier_run_are_named(tmp_path):
-    """A folder may still hold tables that this run does not write."""
+    """A folder may still hold tables that this run does not write, and its pictures and
+    exports in other formats; a file of the user is none of these."""
     path, out = tmp_path / "run.toml", tmp_path / "out"
     path.write_text(RUN)
     first = call("run", path, "--out", out, "--set", "output.breaks=true")
     again = call("run", path, "--out", out)
     assert "earlier run" not in first.stdout
     assert f"{out.name}/ also holds breaks.parquet" in again.stdout.replace("\n", "")
+    (out / "notes.csv").write_text("mine")
+    (out / "force.txt").write_text("mine")
+    call("run", path, "--out", out, "--format", "pdf")
+    call("export", out / "trajectory.parquet")
+    said = call("run", path, "--out", out).stdout.replace("\n", "")
+    names = "breaks.parquet, force.pdf, trajectory.csv"
+    assert f"{out.name}/ also holds {names} of an earlier run" in said

@@ -115,6 +115,19 @@ def test_every_point_bar_and_line_is_where_it_should_be():
     assert len({handle.get_marker() for handle in legend.legend_handles[1:4]}) == 3
 
 
+def test_points_of_a_column_that_is_not_reliable_are_open():
+    """Also in a row that is, as of healing after a hold; those without a word on it are
+    not."""
+    table = points()[10:14].assign(drop=1.0, drop_reliable=[True, False, None, True])
+    figure, _ = drawn(table, "drive.velocity", "drop", "thermal.kT")
+    assert sorted(filled for _, _, filled in marks(figure.axes[0])) == [
+        False,
+        True,
+        True,
+        True,
+    ]
+
+
 def test_legend_covers_no_data():
     """The legend stands beside the axes, on the figure as it is laid out."""
     seen = []
