@@ -145,8 +145,11 @@ def refine(
         change = slopes @ step
         gain = float(r @ r - (r + change) @ (r + change))
         if gain < _REFINED_GAIN:
-            converged = True
-            break
+            # those of a robust loss fade as residuals grow: old ones hide a gain
+            converged = fresh or problem.loss == "gaussian"
+            if not converged:
+                slopes, fresh = search.jacobian(x), True
+            continue
         moved = np.clip(x + step, search.low, search.high)
         new = search.residuals(moved)
         if r @ r - new @ new > _LEAST_GAIN * gain:

@@ -70,11 +70,11 @@ class _Profile:
         self.problem, self.best, self.index, self.sign = problem, best, index, sign
         self.bound = problem.high[index] if sign > 0 else problem.low[index]
         self.length = abs(self.bound - best.u[index])
-        # residuals fall where predictions grow
-        columns = -problem.unitless(jacobian)[:, searched(problem, index)]
+        slopes = -problem.unitless(jacobian)  # of residuals
+        columns = slopes[:, searched(problem, index)]
         linear = problem.linear & (np.arange(best.u.size) != index)
         if linear.any():  # these follow the others
-            base = jacobian[:, linear]
+            base = slopes[:, linear]
             columns = columns - base @ np.linalg.lstsq(base, columns, rcond=None)[0]
         self.points = [_Point(0.0, 0.0, best.u, columns)]
 

@@ -816,7 +816,7 @@ KEYS = ("thermal.kT", "thermal.attempt_frequency")
 
 
 class Formula:
-    """Predictions by a function of the values of `KEYS`."""
+    """Predictions by a function of the values of keys."""
 
     scaled = False
 
@@ -824,7 +824,7 @@ class Formula:
         self.function = function
 
     def predict(self, changes):
-        predicted = self.function(*(changes[key] for key in KEYS))
+        predicted = self.function(*changes.values())
         return predicted, np.zeros(predicted.size)
 
 
@@ -886,6 +886,32 @@ def test_intervals_in_any_unit(unit, transform, loss):
 
     found, right = intervals(unit), intervals(1.0)
     assert np.all(np.abs(found - right) < 1e-3 * np.diff(right))
+
+
+@pytest.mark.parametrize("loss", ["gaussian", "student"])
+def test_chi_square_at_the_ends_of_intervals(loss):
+    """Decay, height and slope of a curve with outliers: a search with the key held at
+    the end of its interval finds that chi-square has risen by the level, to .1."""
+    x = np.linspace(0.0, 1.0, 15)
+    noise = 0.05 * np.random.default_rng(15).standard_t(3, x.size)
+    names = (*KEYS, "thresholds.x_star")
+    bounds = np.log([(0.1, 30.0, 3.0), (0.3, 6.0, 1.5), (0.1, 5.0, 0.7)])
+    free = [Parameter(*row) for row in zip(names, ["log"] * 3, *bounds.T, strict=True)]
+
+    def curved(decay, height, slope):
+        return height * np.exp(-decay * x) + slope * x
+
+    value = curved(3.0, 1.5, 0.7) + noise
+    problem = problem_of_formula(curved, free, value, 0.05, loss=loss)
+    best = minimise(problem, problem.start)
+    jacobian = problem.jacobian(best.u)
+    for index, sign in itertools.product(range(3), (-1, 1)):
+        side = profiles.side(problem, best, index, sign, jacobian)
+        for name, level in profiles.LEVELS.items():
+            u = side.points[np.argmin(np.abs(side.rise - level))].copy()
+            u[index] = side.ends[name]
+            rise = minimise(problem, u, index).chi2 - best.chi2
+            assert rise == pytest.approx(level, abs=0.1)
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-9])
