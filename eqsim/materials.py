@@ -460,9 +460,9 @@ def omcts_film(layers: int) -> LubricantIslands:
     Parameters
     ----------
     layers : int
-        n_l, molecular layers, from 1 to 100.
+        n_l, molecular layers, from 1 to 50.
     """
-    require_integer("layers", layers, 1, 100)
+    require_integer("layers", layers, 1, 50)
     return dataclasses.replace(
         OCTAMETHYLCYCLOTETRASILOXANE,
         name=f"octamethylcyclotetrasiloxane, {layers} layers",

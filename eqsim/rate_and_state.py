@@ -180,8 +180,9 @@ def require_programme(programme: Programme, times: Array) -> None:
             given = "a force" if segment.forced else f"velocity {segment.velocity:g}"
             raise InputError(f"programme.{index}: has {given}; {said}")
     end = programme.corners[0][-1]
-    if times.size and (times[0] < 0 or np.any(np.diff(times) < 0)):
-        raise InputError("times: must ascend from 0 or later")
+    # NaN is not later than any time
+    if times.ndim != 1 or not np.all(np.diff(times, prepend=0.0) >= 0):
+        raise InputError("times: must be a list that ascends from 0 or later")
     if times.size and times[-1] > end * (1.0 + _ROUNDING):
         said = f"end at {times[-1]:g}, after the programme, which takes {end:g}"
         raise InputError(f"times: {said}")

@@ -12,6 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from eqsim.errors import (
+    NOT_NEGATIVE,
     POSITIVE,
     InputError,
     require_choice,
@@ -43,10 +44,11 @@ from eqsim.sweeps.workers import Workers
 
 LAWS: tuple[StateLaw, ...] = ("slip", "aging")
 Trend = Literal["displacement", "time", "none"]
-# Parameters that may stand in the place of b, for the sake of their intervals.
-DIFFERENCE, CRITICAL = "a-b", "(b-a)/D_c"
-# Their unit in a fit: this share of the largest force, over D_c.
-_SHARE = 0.01
+# Parameters that may stand in the place of b, for the sake of their intervals; then that
+# of a is the smaller of both, so that no value of the others makes one negative.
+DIFFERENCE = "a-b"
+CRITICAL = "(b-a)/D_c"
+SMALLER = "min(a, b)"
 # Error of predictions over a (tests).
 _SOLVER_ERROR = 1e-8
 
@@ -55,21 +57,18 @@ _SOLVER_ERROR = 1e-8
 class RateAndStateForward(RecordForward):
     """Rate-and-state friction at the times of a record, but for mu_0. The stiffness of
     the machine, if given, is not free. Nothing depends on steps that a solver chooses.
-    `unit` is that of a - b or (b - a)/D_c, if one of them is there instead of b."""
+    """
 
     law: StateLaw = "slip"
-    unit: float = 1.0
 
     def at(self, values: dict[str, float]) -> RateAndState:
         """The law with these parameters. Raises InputError."""
-        a, D_c = values["a"], values["D_c"]
-        if DIFFERENCE in values:
-            b = a - values[DIFFERENCE] * self.unit
-        elif CRITICAL in values:
-            b = a + values[CRITICAL] * self.unit * D_c
-        else:
-            b = values["b"]
-        k = self.machine_stiffness or values["k"]
+        D_c, k = values["D_c"], self.machine_stiffness or values["k"]
+        if SMALLER not in values:
+            return RateAndState(values["a"], values["b"], D_c, k, self.law)
+        # one of both is 0
+        difference = values.get(DIFFERENCE, 0.0) - values.get(CRITICAL, 0.0) * D_c
+        a, b = (values[SMALLER] + max(x, 0.0) for x in (difference, -difference))
         return RateAndState(a, b, D_c, k, self.law)
 
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
@@ -251,30 +250,22 @@ def _parameter(key: str, low: float, high: float, start: float) -> Parameter:
 
 def _difference(found: FitResult, key: str) -> Interval:
     """The profile interval of a - b or (b - a)/D_c, a parameter in the place of b."""
-    values, problem, index = found.values, found.problem, found.problem.keys.index("b")
+    values, problem, u = found.values, found.problem, found.best.u.copy()
     most = float(np.abs(problem.value).max())
     value = values["a"] - values["b"]
     if key == CRITICAL:
         most, value = most / values["D_c"], -value / values["D_c"]
-    assert isinstance(problem.forward, RateAndStateForward)
-    unit = _SHARE * most
-    one = Parameter(key, "linear", -1.0 / _SHARE, 1.0 / _SHARE, value / unit)
+    first, index = (problem.keys.index(name) for name in "ab")
+    one = Parameter(key, "linear", -most, most, value)
     parameters = [*problem.parameters]
+    parameters[first] = parameters[first]._replace(key=SMALLER)
     parameters[index] = one
-    forward = replace(problem.forward, unit=unit)
-    problem = replace(problem, forward=forward, parameters=parameters)
-    u = found.best.u.copy()
-    u[index] = one.start
-    best = found.best._replace(u=u)
-    jacobian = problem.jacobian(u)
-    sd = np.sqrt(np.diag(estimate.covariance(jacobian)))[index]
+    u[first], u[index] = min(u[first], u[index]), value
+    problem = replace(problem, parameters=parameters)
+    best, jacobian = found.best._replace(u=u), problem.jacobian(u)
+    sd = math.sqrt(estimate.covariance(jacobian)[index, index])
     sides = [profiles.side(problem, best, index, sign, jacobian) for sign in (-1, 1)]
-    known = interval_of(one, one.start, float(sd), sides)
-    ends = {
-        level: tuple(None if end is None else end * unit for end in pair)
-        for level, pair in known.intervals.items()
-    }
-    return known._replace(estimate=value, sd=known.sd * unit, intervals=ends)
+    return interval_of(one, value, sd, sides)
 
 
 def record_of(
@@ -313,6 +304,9 @@ def record_of(
     >>> record.drive.segments[1].time
     1.5
     """
+    require_number("noise", noise, **NOT_NEGATIVE)
+    if len(velocities) == 0:
+        raise InputError("velocities = []: must hold one velocity at least")
     path = Path(path)
     given = f"at = {shown(list(at))}"
     if len(velocities) != len(at) + 1:
@@ -326,7 +320,7 @@ def record_of(
     record = dict(zip(("time", "force", "stderr"), names, strict=False))
     section = {
         "record": {"file": path.name, **record},
-        "noise": {"absolute": float(noise)},
+        "noise": {"absolute": noise},
     }
     time = read_record(path, Fit.model_validate(section)).time
     assert time is not None

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
+from scipy.optimize import brentq, least_squares
 from typer.testing import CliRunner
 
 from analysis import coverage
@@ -161,6 +161,30 @@ def test_truth_is_recovered(law, tmp_path):
     assert goodness(problem, found.best.u).p < 1e-6
 
 
+def test_intervals_where_b_may_be_0(tmp_path):
+    """A record that hardly shows b: the interval of (b - a)/D_c holds a value at which
+    chi-square, least squares over b, D_c and mu_0 with a = b + 5e-4 D_c, is below its
+    level. An interval that ends where b is 0 with the a of the best fit does not."""
+    step = Programme([Segment(1.0, time=60.0), Segment(10.0, time=20.0)])
+    t = np.concatenate((np.linspace(0.0, 59.0, 21), np.linspace(60.2, 80.0, 60)))
+    exact = replace(LAW, b=0.001).friction(step, t)
+    mu = exact + 1e-3 * np.random.default_rng(2).standard_normal(t.size)
+    lines = [f"{x:.12g},{y:.12g}" for x, y in zip(t, mu, strict=True)]
+    (tmp_path / "step.csv").write_text("t,mu\n" + "\n".join(lines) + "\n")
+    record = record_of(tmp_path / "step.csv", velocities=[1, 10], at=[60.0], noise=1e-3)
+    found = fit_rate_and_state(record, stiffness=0.01, trend="none", starts=1)
+
+    def residuals(u):
+        b, D_c = np.exp(u[:2])
+        law = replace(LAW, a=b + 5e-4 * D_c, b=b, D_c=D_c, mu_0=u[2])
+        return (law.friction(step, t) - mu) / 1e-3
+
+    held = least_squares(residuals, [math.log(1e-4), math.log(18.0), 0.6])
+    assert 2.0 * held.cost - found.best.chi2 < LEVELS["95"]
+    low, high = found.differences[1].intervals["95"]
+    assert low < -5e-4 < high < 0.0
+
+
 @pytest.mark.parametrize("law", ["slip", "aging"])
 def test_the_wrong_law_is_rejected(law):
     """The exact record of one law, with errors of 1e-5, that of the other."""
@@ -292,8 +316,22 @@ def test_bad_laws():
         LAW.friction(Programme([Segment(time=1.0)]), [0.5])
     with pytest.raises(InputError, match="end at 131, after the programme"):
         LAW.friction(PROGRAMME, [131.0])
+    for times in ([0.5, math.nan], [2.0, 1.0], [-1.0, 1.0], 0.5, [[0.5, 1.0]]):
+        with pytest.raises(InputError, match="times: must be a list that ascends"):
+            LAW.friction(PROGRAMME, times)
     with pytest.raises(InputError, match="slips without end"):
         replace(LAW, stiffness=1e-5).friction(PROGRAMME, [100.0])
+
+
+def test_bad_records(tmp_path):
+    (tmp_path / "step.csv").write_text("t,mu\n0,0.6\n1,0.61\n2,0.6\n")
+    for velocities, noise, said in (
+        ([1.0], -1e-3, "noise = -0.001: must be a finite number >= 0"),
+        ([1.0], math.nan, "noise = nan: must be a finite number >= 0"),
+        ([], 1e-3, "velocities"),
+    ):
+        with pytest.raises(InputError, match=said):
+            record_of(tmp_path / "step.csv", velocities=velocities, noise=noise)
 
 
 def covered(sets, law, shrunk=1.0):

@@ -709,6 +709,7 @@ def test_bad_constants_are_named(material, field, bad):
             ).ensemble(),
         ),
         ("layers", lambda: omcts_film(0)),
+        ("layers", lambda: omcts_film(100)),
         ("layers", lambda: omcts_film(2.5)),
         ("disorder", lambda: STEEL.ensemble(disorder="frozen")),
         ("velocity", lambda: run_file_text(STEEL, velocity=0.0)),
