@@ -18,7 +18,7 @@ from eqsim.paper import NOTE
 with lazily():
     from eqsim import materials
     from eqsim.engine import elastic, trajectory
-    from eqsim.io import runfile, schema, surface, units
+    from eqsim.io import content, schema, surface, units
     from eqsim.model import groups
 
 _PRESETS = '"steel", "octamethylcyclotetrasiloxane" ("omcts")'
@@ -150,12 +150,12 @@ def _material(name: str, changes: dict[str, Any]) -> "materials.Material":
     elif name.lower() in materials.KINDS:
         constants = {"kind": name.lower()}
     elif name.lower().endswith(".toml") or os.path.lexists(name):
-        _, constants = runfile.read_toml(Path(name))
+        _, constants = content.read_toml(Path(name))
     else:
         kinds = " or ".join(f'"{kind}"' for kind in materials.KINDS)
         given = f"{_PRESETS}, a TOML file of constants, or {kinds}"
         said = f"must be {given} with all of them as --set KEY=VALUE"
         raise InputError(f"NAME = {short(name)}: {said}")
     for key, value in changes.items():
-        runfile.put(constants, key, value)
+        content.put(constants, key, value)
     return materials.from_constants(constants, Path(name).stem)

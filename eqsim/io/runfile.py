@@ -5,11 +5,8 @@ dataclasses, which refuse values out of range, and keys that do not go together 
 refused.
 """
 
-import copy
-import json
 import math
-import tomllib
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,8 +26,18 @@ from eqsim.errors import (
 )
 from eqsim.estimate import Averages, Estimate
 from eqsim.io import csv, schema
+from eqsim.io.content import (
+    copied as copied,
+)
+from eqsim.io.content import (
+    path_of as path_of,
+)
+from eqsim.io.content import put, read_toml, with_blocks, without_alternatives
+from eqsim.io.course import PULLS, programme_of, recorded_drive
 from eqsim.io.labels import described
-from eqsim.io.tables import DriveRecord, RecordedDrive, read_drive, read_thresholds
+from eqsim.io.parameters import keys as keys
+from eqsim.io.parameters import parameters as parameters
+from eqsim.io.tables import read_thresholds
 from eqsim.io.units import (
     Interface,
     Quantity,
@@ -48,32 +55,14 @@ from eqsim.laws.thermal import Pathway, Thermal
 from eqsim.laws.threshold import Table, ThresholdLaw
 from eqsim.laws.viscosity import Viscosity
 from eqsim.model.chain import Chain
-from eqsim.model.drive import (
-    Drive,
-    Output,
-    Programme,
-    Segment,
-    Stage,
-    default_distance,
-    require_drive,
-)
+from eqsim.model.drive import Drive, Output, Programme, require_drive
 from eqsim.model.elastic import Elastic
 from eqsim.model.ensemble import Ensemble, Population
 from eqsim.results import Listed
 
 Section = TypeVar("Section")
-_LONGEST = 10_000_000  # characters of a run file
 # Keys whose text may be any word, also "Infinity".
 _FREE_TEXT = ("title", "file", "column")
-_PULLS = ("force", "force_rate")  # keys of a segment under a force
-# Keys that say the same: a change of one replaces the other.
-_ALTERNATIVES = {
-    "thermal.temperature": "thermal.kT",
-    "interface.normal_load": "interface.normal_stress",
-    "drive.stage.machine_stiffness": "drive.stage.stiffness",
-    "drive.stage.radiation_damping": "drive.stage.damping",
-}
-_ALTERNATIVES |= {other: key for key, other in _ALTERNATIVES.items()}
 # What of a stage is given for the machine: the key that follows, and per what it is.
 _MACHINE = {
     "machine_stiffness": ("stiffness", catalogue.LENGTH),
@@ -183,7 +172,7 @@ class RunFile(Listed):
         if isinstance(self.blocks, Chain):
             return True
         parts = [self["drive"], *(self["drive.programme"] or ())]
-        names = "stage", "stall_force", *_PULLS
+        names = "stage", "stall_force", *PULLS
         return any(part.get(name) is not None for part in parts for name in names)
 
     @cached_property
@@ -253,7 +242,7 @@ class RunFile(Listed):
         """The drive of the slider. Raises InputError."""
         given, blocks = self["drive"], self.blocks
         if not self.constant or isinstance(blocks, Chain):
-            return self._programme()
+            return programme_of(self)
         if given["velocity"] is None:
             raise InputError("drive.velocity: is required")
         with under("drive"):
@@ -279,71 +268,19 @@ class RunFile(Listed):
         """The drive, if it has a constant velocity. Raises InputError."""
         return require_drive(self.drive)
 
-    def _programme(self) -> Programme:
-        self._check_course()
-        given, blocks = self["drive"], self.blocks
-        names = "start", "velocity", "stall_force", "rebinding"
-        more = {name: given[name] for name in names if given[name] is not None}
-        more["chain" if isinstance(blocks, Chain) else "elastic"] = blocks
-        with under("drive"):
-            if stage := given["stage"]:
-                known = {k: v for k, v in stage.items() if k not in _MACHINE}
-                with under("stage"):
-                    more["stage"] = Stage(**known)
-            return Programme(tuple(self._segments()), **more)
-
-    def _check_course(self) -> None:
-        """Raise InputError for keys of [drive] that do not go together."""
-        given = self["drive"]
-        if given["programme"] is not None and given["file"] is not None:
-            raise InputError("drive.file: not allowed with drive.programme")
-        if given["file"] is None and given["record"] is not None:
-            raise InputError("drive.record: needs drive.file, the record itself")
-        pulls = [name for name in _PULLS if given[name] is not None]
-        wrong, said = ["time", *pulls, "distance"], "with a programme or file"
-        if given["programme"] is None and given["file"] is None:
-            wrong = ["velocity", "distance"] if pulls else []
-            said = f"with {min(pulls, default='')}, which needs a time"
-            if not pulls and given["velocity"] is None:
-                raise InputError("drive.velocity: is required")
-        for name in wrong:
-            if given[name] is not None:
-                raise InputError(f"drive.{name} = {given[name]!r}: not allowed {said}")
-
-    def _segments(self) -> Iterator[Segment]:
-        """The segments of the drive. Raises InputError."""
-        given = self["drive"]
-        if given["file"] is not None:
-            yield from self._recorded_drive().segments
-        elif given["programme"] is None:
-            distance, time = given["distance"], given["time"]
-            pulls = {name: given[name] for name in _PULLS}
-            if {distance, time, *pulls.values()} == {None}:
-                distance = default_distance(self.ensemble)
-            yield Segment(given["velocity"] or 0.0, distance, time, **pulls)
-        for index, section in enumerate(given["programme"] or []):
-            with under(f"programme.{index}"):
-                yield _segment(**section)
-
-    def _recorded_drive(self) -> RecordedDrive:
-        """The content of drive.file. Raises InputError."""
-        path = path_of("file", self.folder, self["drive.file"])
-        how = self["drive.record"]
-        return read_drive(path, how and DriveRecord(**how))
-
     @property
     def said(self) -> list[str]:
         """How drive.file was read, where drive.record says how. Raises InputError."""
         if self["drive.record"] is None:
             return []
-        return [f"drive.file: {', '.join(self._recorded_drive().said)}"]
+        return [f"drive.file: {', '.join(recorded_drive(self).said)}"]
 
     def with_changes(self, changes: dict[str, Any]) -> "RunFile":
         """The run file of one point, without [sweep] and [fit]; `changes` are values by
         "section.key", {"thermal.kT": 0.1}. Raises InputError for a key that there is
         not, and a value that has not its type."""
         data, known = copied(self.given, without=("sweep", "fit")), keys(self)
-        _without_alternatives(data, changes)
+        without_alternatives(data, changes)
         for key, value in changes.items():
             if key not in known:
                 first = dict.fromkeys(one.split(".")[0] for one in known)
@@ -395,7 +332,7 @@ def population_alone(file: RunFile, index: int) -> RunFile:
         if name == "stiffness":
             data.setdefault("contacts", {})[name] = given
         elif name != "share":
-            _without_alternatives(data, [f"{name}.{key}" for key in given])
+            without_alternatives(data, [f"{name}.{key}" for key in given])
             alone = given.keys() & {"law", "rule", "barrier"}
             data[name] = given if alone else data.get(name, {}) | given
     return check(data, file.folder)
@@ -411,41 +348,9 @@ def _require_law(key: str, given: dict[str, Any], laws: tuple[str, ...]) -> None
         raise InputError(f"{key}: is required with {min(there)}; must be {allowed}")
 
 
-def _segment(velocity: Any, hold: float | None, **more: Any) -> Segment:
-    """A segment of a run file. Raises InputError."""
-    forced = more["force"] is not None or more["force_rate"] is not None
-    if forced + (velocity is not None) + (hold is not None) != 1:
-        said = "either a velocity or a hold, the time for which nothing moves"
-        raise InputError(f"velocity: a segment has {said}, or a force")
-    if hold is None:
-        return Segment(velocity or 0.0, **more)
-    for name in ("distance", "time"):
-        if more[name] is not None:
-            said = "not allowed with hold, which is a time"
-            raise InputError(f"{name} = {shown(more[name])}: {said}")
-    require_number("hold", hold, **POSITIVE)
-    return Segment(0.0, **more | {"time": hold})
-
-
 def _two_temperatures(temperature: float) -> InputError:
     given = f"thermal.temperature = {shown(temperature)}"
     return InputError(f"{given}: not allowed with kT; give one of them")
-
-
-def _without_alternatives(data: dict[str, Any], changes: Collection[str]) -> None:
-    """Remove each key that says the same as one of the keys that change."""
-    for key in _ALTERNATIVES.keys() & set(changes):
-        *sections, name = _ALTERNATIVES[key].split(".")
-        place: Any = data
-        for section in sections:
-            place = place.get(section) if isinstance(place, dict) else None
-        if _ALTERNATIVES[key] not in changes and isinstance(place, dict):
-            place.pop(name, None)
-
-
-def copied(data: dict[str, Any], without: tuple[str, ...] = ()) -> Any:
-    """A copy of the content of a run file `without` some of its keys."""
-    return copy.deepcopy({k: part for k, part in data.items() if k not in without})
 
 
 def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
@@ -486,7 +391,7 @@ def _changed(
     text: str, data: dict[str, Any], changes: dict[str, Any], folder: Path
 ) -> RunFile:
     """A run file of this text and content with changes. Raises InputError."""
-    _without_alternatives(data, changes)
+    without_alternatives(data, changes)
     for key, value in changes.items():
         axes, axis = data.get("sweep", {}), key.removeprefix("sweep.")
         first = axis.split(".")[0]
@@ -499,45 +404,6 @@ def _changed(
         raise _two_temperatures(heat["temperature"])
     text += "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
     return replace(check(data, folder), text=text)
-
-
-def put(
-    data: dict[str, Any], key: str, value: Any, path: list[str] | None = None
-) -> None:
-    """Put the value of a `key` into the content of a TOML file, at a `path` of sections
-    and numbers of segments, by default that of its name. Raises InputError."""
-    *sections, last = path or key.split(".")
-    place: Any = data
-    for name in sections:
-        if isinstance(place, list) and name.isdecimal() and int(name) < len(place):
-            place = place[int(name)]
-        else:
-            place = place.setdefault(name, {}) if isinstance(place, dict) else None
-        if not isinstance(place, (dict, list)):
-            raise InputError(f"{key}: {name} is not a section")
-    if isinstance(place, list):
-        said = f"must name one of the list, as in {'.'.join(sections)}.0.{last}"
-        raise InputError(f"{key}: {said}")
-    place[last] = value
-
-
-def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
-    """Text and content of a TOML file, which may be a pipe. Raises InputError."""
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            text = file.read(_LONGEST + 1)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not a text file in UTF-8") from None
-    if len(text) > _LONGEST:  # a device may never end
-        said = f"is longer than {_LONGEST:.0e} characters"
-        raise InputError(f"{path}: {said}; a run file is not")
-    try:
-        return text, tomllib.loads(text)
-    # also numbers and nesting beyond Python's limits
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is not valid TOML: {error}") from None
 
 
 def opened(
@@ -554,70 +420,6 @@ def opened(
     elif changes:
         file = _changed(file.text, copied(file.given), changes, file.folder)
     return file if folder is None else replace(file, folder=Path(folder))
-
-
-# A stage, programme and blocks are there or not; averages do not depend on units and
-# interface, nor on what is written.
-_PARAMETERS: dict[str, type] = {
-    name: key.kind
-    for name, key in schema.KEYS.items()
-    if key.kind in (float, int, str)
-    and name != "title"
-    and not name.startswith(("units.", "interface.", "drive.programme.", "population."))
-    and name.rpartition(".")[0] not in schema.OPTIONAL
-}
-
-
-def keys(file: RunFile | None = None) -> dict[str, type]:
-    """Every `section.key` (or top-level key) but `title`, `sweep`, `units` and
-    `interface`, and the type of its values: float, int or str. Of a `file` also those
-    of its programme, stage, blocks, pathways or populations, as
-    drive.programme.1.hold."""
-    known = dict(_PARAMETERS)
-    if file is None:
-        return known
-    for section in schema.OPTIONAL:
-        if file[section]:
-            for name, key in schema.keys_of(section).items():
-                known[f"{section}.{name}"] = str if key.kind is list else key.kind
-    for index in range(len(file["population"] or [])):
-        alone: dict[str, type] = {"share": float, "stiffness": float}
-        for name, kind in keys(population_alone(file, index)).items():
-            if name.partition(".")[0] in schema.OF_POPULATION:
-                alone[name] = kind
-        known |= {f"population.{index}.{name}": kind for name, kind in alone.items()}
-    kinds = {n: key.kind for n, key in schema.keys_of("drive.programme").items()}
-    for index, segment in enumerate(file["drive.programme"] or []):
-        given = (name for name, value in segment.items() if value is not None)
-        known |= {f"drive.programme.{index}.{name}": kinds[name] for name in given}
-    return known
-
-
-def parameters(file: RunFile) -> dict[str, Any]:
-    """The values of all `keys()`, lists as text, with the defaults of the threshold law
-    filled in: equal settings, equal dicts."""
-    found = {key: file[key] for key in keys(file)}
-    for key, default in threshold_parameters(file["thresholds.law"]).items():
-        if found[f"thresholds.{key}"] is None:
-            found[f"thresholds.{key}"] = default
-    for key, value in found.items():
-        if isinstance(value, float):
-            found[key] = value + 0.0  # no -0.0
-        elif isinstance(value, list) and not key.endswith(".blocks"):
-            found[key] = json.dumps(value)
-    return found
-
-
-def naming(file: RunFile) -> dict[str, Any]:
-    """The `parameters` that name a point of a sweep. Keys that came with a later
-    version are among them where they differ from their defaults: points keep their
-    names."""
-    newer = {name for name, key in catalogue.KEYS.items() if key.since}
-    return {
-        key: value
-        for key, value in parameters(file).items()
-        if key not in newer or value != schema.KEYS[key].default
-    }
 
 
 at = RunFile.with_changes
@@ -646,7 +448,7 @@ def stored(settings: dict[str, Any], folder: Path | str = "") -> RunFile:
 def check(data: dict[str, Any], folder: Path = Path()) -> RunFile:
     """A run file from its content; paths in it start in `folder`. Raises InputError
     with one line that names the field."""
-    data = _with_blocks(data)
+    data = with_blocks(data)
     content = schema.validated(data)
     given = content.model_dump(exclude_unset=True, exclude_none=True)
     given |= {name: data[name] for name in ("sweep", "fit") if data.get(name)}
@@ -661,29 +463,6 @@ def check(data: dict[str, Any], folder: Path = Path()) -> RunFile:
         population |= {name: merged[name] for name in schema.OF_POPULATION}
         population["stiffness"] = merged["contacts"]["stiffness"]
     return file
-
-
-def _with_blocks(data: dict[str, Any]) -> dict[str, Any]:
-    """The content of a run file with the keys of blocks that stand in [interface], as
-    they may, in [elastic]. Raises InputError for one that stands in both."""
-    named = schema.keys_of("elastic")
-
-    def moved(key: str) -> str:
-        section, _, name = key.partition(".")
-        return f"elastic.{name}" if section == "interface" and name in named else key
-
-    data = dict(data)
-    interface, elastic = data.get("interface"), data.get("elastic") or {}
-    if isinstance(interface, dict) and isinstance(elastic, dict):
-        blocks = {key: interface[key] for key in interface if key in named}
-        for key in blocks.keys() & elastic.keys():
-            raise InputError(f"interface.{key}: stands in [elastic], too")
-        if blocks:
-            data["elastic"] = elastic | blocks
-            data["interface"] = {k: v for k, v in interface.items() if k not in named}
-    if isinstance(sweep := data.get("sweep"), dict):
-        data["sweep"] = {moved(key): value for key, value in sweep.items()}
-    return data
 
 
 def _load(file: RunFile) -> None:
@@ -752,10 +531,3 @@ def contents_of(file: RunFile) -> dict[str, bytes]:
     except OSError as error:
         said = f"cannot be read ({error.strerror})"
         raise InputError(f"{error.filename}: {said}") from None
-
-
-def path_of(field: str, folder: Path, name: str) -> Path:
-    """The path of a file that a key names. Raises InputError for an empty name."""
-    if not name.strip():
-        raise InputError(f"{field} = {shown(name)}: must be the name of a file")
-    return folder / name

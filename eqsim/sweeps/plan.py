@@ -12,7 +12,9 @@ import numpy as np
 import pyarrow
 
 from eqsim.errors import InputError, require_integer, require_number, shown, under
-from eqsim.io.runfile import RunFile, at, keys, naming, path_of
+from eqsim.io.content import path_of
+from eqsim.io.parameters import keys, naming
+from eqsim.io.runfile import RunFile, at
 from eqsim.io.schema import OPTIONAL
 from eqsim.io.storage import read_parquet
 from eqsim.laws.threshold import Table

@@ -25,7 +25,8 @@ from eqsim.engine.records import OF_SEGMENT, OF_STEP
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES
 from eqsim.io import storage
-from eqsim.io.runfile import RunFile, contents_of, keys, naming, parameters
+from eqsim.io.parameters import keys, naming, parameters
+from eqsim.io.runfile import RunFile, contents_of
 from eqsim.io.storage import SWEEP_HIDDEN, SWEEP_MANIFEST, SWEEP_PARTS, SWEEP_TABLE
 from eqsim.io.units import quantities
 from eqsim.model.ensemble import Ensemble

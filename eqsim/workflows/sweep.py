@@ -11,7 +11,8 @@ import numpy as np
 
 from eqsim.errors import InputError, require_integer, shown
 from eqsim.io import storage, terminal
-from eqsim.io.runfile import RunFile, at, check, copied, opened
+from eqsim.io.content import copied
+from eqsim.io.runfile import RunFile, at, check, opened
 from eqsim.sweeps import scheduler
 from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked

@@ -289,3 +289,20 @@ population.0.thermal.slip.force = [4.0, 5.0]
     assert (table["friction_z"].abs() < 4.5).all()
     assert table["friction_reference"][0] == exact.friction.value
     assert table["friction_reference"].is_unique
+
+
+def test_a_temperature_of_a_population_replaces_its_heat():
+    """And the other way round, as at the top of the file; other kinds keep theirs."""
+    units = {"length": "nm", "force": "nN"}
+    kinds = [{"share": 1, "stiffness": 1.0, "thermal": {"kT": x}} for x in (0.1, 0.2)]
+    drive = {"velocity": 0.1}
+    file = check({"units": units, "drive": drive, "population": kinds})
+    kelvin = file.with_changes({"population.0.thermal.temperature": 300.0})
+    assert kelvin["population.0.thermal.kT"] == pytest.approx(4.142e-3, rel=1e-3, abs=0)
+    assert kelvin["population.1.thermal.kT"] == 0.2
+    heat = kelvin.with_changes({"population.0.thermal.kT": 0.3})
+    assert heat["population.0.thermal.temperature"] is None
+    assert heat["population.0.thermal.kT"] == 0.3
+    both = {"population.0.thermal.temperature": 300.0, "population.0.thermal.kT": 0.3}
+    with pytest.raises(InputError, match="not allowed with kT"):
+        file.with_changes(both)

@@ -35,7 +35,8 @@ from eqsim.cli.app import app
 from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError
-from eqsim.io.runfile import check, load, naming
+from eqsim.io.parameters import naming
+from eqsim.io.runfile import check, load
 from eqsim.io.storage import publish, versions
 from eqsim.laws.delay import Delay
 from eqsim.master.steady import reference
