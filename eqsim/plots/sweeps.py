@@ -22,9 +22,11 @@ from pyarrow import parquet as pq
 from eqsim.errors import InputError, meant
 from eqsim.estimate import Estimate
 from eqsim.io import storage
+from eqsim.io.content import DERIVED, of_population
 from eqsim.io.export import RENAMED_COLUMNS
 from eqsim.io.labels import axis, plain, symbol
-from eqsim.io.runfile import RunFile, at, keys, stored
+from eqsim.io.parameters import keys
+from eqsim.io.runfile import RunFile, at, stored
 from eqsim.io.units import Quantity, Units
 from eqsim.master.steady import curve
 from eqsim.model.healing import Healing, healing_law
@@ -359,15 +361,13 @@ def _drawable(
             raise InputError(f"{option} {name}: is not a column of numbers but of {of}")
     for name in by:
         _column(table, name, "--by")
-    known = {x, *by}
-    kelvin, energy = "thermal.temperature", "thermal.kT"
-    if kelvin in table and table[kelvin].notna().all():  # one follows from the other
-        known |= {energy, *([kelvin] if energy in known else [])}
+    known = {_source(table, name) for name in (x, *by)}
     free = [
         name
         for name in table
         if ("." in name and not name.startswith("output.")) or name == "disorder"
-        if name not in known and table[name].nunique(dropna=False) > 1
+        if table[name].nunique(dropna=False) > 1
+        if name not in known and _source(table, name) == name
     ]
     if free:
         several = "; ".join(f"{name} ({_Levels.of(table[name])})" for name in free)
@@ -383,6 +383,23 @@ def _drawable(
         if not (~failed & finite[y]).any():
             raise InputError("; ".join([f"--y {y}: no point to draw", *notes]))
     return table[~failed & np.logical_or.reduce([*finite.values()])], notes
+
+
+def _source(table: Points, name: str) -> str:
+    """The column of a key that another one follows from: the one at the top of the run
+    file, which a population has taken over, or the one that says the same in another
+    unit; else the column itself."""
+    name = _top(table, name)
+    population, bare = of_population(name)
+    given = population + DERIVED.get(bare, bare)
+    return given if given in table and table[given].notna().all() else name
+
+
+def _top(table: Points, name: str) -> str:
+    """The column of a key at the top of the run file, if a population has its values."""
+    population, bare = of_population(name)
+    shared = population and bare in table and table[bare].equals(table[name])
+    return bare if shared else name
 
 
 def _looks(
@@ -513,16 +530,19 @@ def _curve_averages(
 def _point(sweep: Sweep, row: Any, more: dict[str, Any]) -> RunFile:
     """The run file at a row of the table."""
     assert sweep.file
+    table = sweep.table
+    known = {key: kind for key, kind in keys(sweep.file).items() if key in row}
+    replaced = {_source(table, key) for key in more}
     changes: dict[str, Any] = {
         key: kind(row[key])
-        for key, kind in keys(sweep.file).items()
-        if key in row and not key.startswith("output.")
-        if sweep.table[key].nunique(dropna=False) > 1
-        if pd.notna(row[key])
-    } | more
-    kelvin = "thermal.temperature"
-    if kelvin in changes or sweep.file[kelvin] is not None:
-        changes.pop("thermal.kT", None)
+        for key, kind in known.items()
+        if not key.startswith("output.") and pd.notna(row[key])
+        if table[key].nunique(dropna=False) > 1
+        if _source(table, key) == key and key not in replaced
+    }
+    for x, value in more.items():
+        same = (key for key in known if _top(table, key) == _top(table, x))
+        changes |= dict.fromkeys(same, value)
     return at(sweep.file, changes)
 
 

@@ -10,6 +10,7 @@ from scipy import constants
 from typer.testing import CliRunner
 
 from eqsim import load
+from eqsim import sweep as run_sweep
 from eqsim.cli.app import app
 from eqsim.plots.style import COLORS, PAPER, saved
 from eqsim.plots.sweeps import Sweep, read_sweep, select, sweep_figure
@@ -429,6 +430,51 @@ def test_a_sweep_knows_its_title_units_and_curve(tmp_path):
     ]
     assert line.get_xdata().size >= 40
     assert np.all(np.diff(line.get_ydata()) < 0)
+
+
+KELVIN = "thermal.temperature"
+TWO_KINDS = 2 * "[[population]]\nshare = 1\nstiffness = 1.0\n"
+OWN = "[population.thermal]\nkT = 0.01\n"
+
+
+@pytest.mark.parametrize(
+    ("kinds", "swept", "along"),
+    [
+        ("", KELVIN, (KELVIN, "thermal.kT")),
+        (TWO_KINDS, KELVIN, (KELVIN, "thermal.kT", "population.0.thermal.kT")),
+        (TWO_KINDS + OWN, KELVIN, (KELVIN, "population.0.thermal.kT")),
+        (
+            TWO_KINDS + OWN,
+            f"population.1.{KELVIN}",
+            (f"population.1.{KELVIN}", "population.1.thermal.kT"),
+        ),
+    ],
+)
+def test_keys_that_follow_from_others(kinds, swept, along, tmp_path):
+    """Heat from a temperature, and what a population takes from the top of the file: a
+    sweep can be drawn along each, and the curve of the master equation passes through
+    its points."""
+    (tmp_path / "x.toml").write_text(
+        '[units]\nlength = "nm"\nforce = "nN"\n[thresholds]\nx_star = 0.1\n'
+        f"[drive]\nvelocity = 0.1\n[thermal]\ntemperature = 300.0\n{kinds}"
+    )
+    grid, out = {swept: [100.0, 1000.0, 10000.0]}, tmp_path / "s"
+    run_sweep(tmp_path / "x.toml", grid, out=out, rel_error=0.1, progress=False)
+    found = read_sweep(out)
+    for x in along:
+        (line,) = [
+            line
+            for line in sweep_figure(found, found.table, (x, "friction"))[0]
+            .axes[0]
+            .lines
+            if line.get_linestyle() != "None"
+        ]
+        drawn_x, drawn_y = line.get_data()
+        at_points = [drawn_y[drawn_x == value][0] for value in found.table[x]]
+        np.testing.assert_allclose(
+            at_points, found.table["friction_reference"], rtol=1e-6
+        )
+        assert at_points[0] > 1.1 * at_points[2]
 
 
 @pytest.mark.parametrize(
