@@ -58,7 +58,17 @@ def put(
     if isinstance(place, list):
         said = f"must name one of the list, as in {'.'.join(sections)}.0.{last}"
         raise InputError(f"{key}: {said}")
-    place[last] = value
+    place[last] = plain(value)
+
+
+def plain(value: Any) -> Any:
+    """A value with lists and numbers of Python in the place of NumPy's and pandas'."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, dict):
+        return {name: plain(part) for name, part in value.items()}
+    if isinstance(value, (list, tuple, range)):
+        return list(map(plain, value))
+    return value
 
 
 def _below(place: Any, name: str) -> Any:

@@ -113,12 +113,10 @@ def _units(settings: dict[str, Any]) -> Units:
 
 def _unfinished(paths: list[Path], rows: int) -> list[str]:
     """Remarks on a sweep whose rows are not all there."""
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        if paths[0].parent.name in (storage.SWEEP_PARTS, storage.SWEEP_HIDDEN):
-            manifest = (paths[0].parent.parent / storage.SWEEP_MANIFEST).read_bytes()
-            planned = json.loads(manifest)["points"]
-            return [f"{rows} of {planned} points: the sweep is not finished"]
-    return []
+    folder = paths[0].parent
+    inside = folder.name in (storage.SWEEP_PARTS, storage.SWEEP_HIDDEN)
+    planned = storage.planned_points(folder.parent) if inside else None
+    return [f"{rows} of {planned} points: the sweep is not finished"] * bool(planned)
 
 
 def _origin(origin: dict[str, Any], units: Units) -> list[str]:

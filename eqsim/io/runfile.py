@@ -32,7 +32,7 @@ from eqsim.io.content import (
 from eqsim.io.content import (
     path_of as path_of,
 )
-from eqsim.io.content import put, read_toml, with_blocks, without_alternatives
+from eqsim.io.content import plain, put, read_toml, with_blocks, without_alternatives
 from eqsim.io.course import PULLS, programme_of, recorded_drive
 from eqsim.io.labels import described
 from eqsim.io.parameters import keys as keys
@@ -402,7 +402,9 @@ def _changed(
     # even if kT is 0
     if isinstance(heat, dict) and {"kT", "temperature"} <= heat.keys():
         raise _two_temperatures(heat["temperature"])
-    text += "".join(f"# --set {key}={value!r}\n" for key, value in changes.items())
+    text += "".join(
+        f"# --set {key}={plain(value)!r}\n" for key, value in changes.items()
+    )
     return replace(check(data, folder), text=text)
 
 

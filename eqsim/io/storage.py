@@ -10,6 +10,7 @@ import platform
 import shutil
 import tempfile
 import time
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,13 @@ def sweep_files(folder: Path) -> list[Path] | None:
     if not (folder / SWEEP_MANIFEST).exists():
         return None
     return [*folder.glob(SWEEP_TABLE)] or sweep_parts(folder)
+
+
+def planned_points(folder: Path) -> int | None:
+    """How many points the sweep in a folder has, if that is known."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        return int(json.loads((folder / SWEEP_MANIFEST).read_bytes())["points"])
+    return None
 
 
 def versions() -> dict[str, str]:

@@ -1,6 +1,5 @@
 """Pictures of sweeps."""
 
-import json
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -135,10 +134,7 @@ def read_sweep(folder: Path) -> Sweep:
     Raises InputError."""
     if not folder.is_dir():
         raise InputError(f"{folder}: is not a folder of Parquet files")
-    planned = None
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        manifest = json.loads((folder / storage.SWEEP_MANIFEST).read_bytes())
-        planned = int(manifest["points"])
+    planned = storage.planned_points(folder)
     of = f", of {planned}" if planned else ""
     files = storage.sweep_files(folder)
     if files is not None and not files:

@@ -7,11 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from eqsim.errors import InputError, require_integer, shown
 from eqsim.io import storage, terminal
-from eqsim.io.content import copied
+from eqsim.io.content import copied, plain
 from eqsim.io.runfile import RunFile, at, check, opened
 from eqsim.sweeps import scheduler
 from eqsim.sweeps.plan import Plan
@@ -106,9 +104,5 @@ def _with_grid(file: RunFile, grid: dict[str, Any]) -> RunFile:
     if not isinstance(grid, dict):
         said = 'must be values by key, such as {"drive.velocity": [0.1, 1.0]}'
         raise InputError(f"grid = {shown(grid)}: {said}")
-    axes = {
-        key: np.asarray(x).tolist() if isinstance(x, (np.ndarray, tuple, range)) else x
-        for key, x in grid.items()
-    }
-    content = {**copied(file.given, without=("fit",)), "sweep": axes}
+    content = {**copied(file.given, without=("fit",)), "sweep": plain(grid)}
     return replace(check(content, file.folder), text=file.text)

@@ -450,6 +450,10 @@ def test_changes(tmp_path):
     assert (file["drive.velocity"], file.title, file["delay.time"]) == (2.0, "x", 3.0)
     with pytest.raises(InputError, match="velocity is not a section"):
         load(path, {"drive.velocity.x": 1})
+    numbers = {"contacts.count": np.int64(7), "sweep": {"thermal.kT": np.array([1, 2])}}
+    file = load(path, numbers)
+    assert (file["contacts.count"], file.sweep) == (7, {"thermal.kT": [1, 2]})
+    assert file.text.endswith("# --set sweep={'thermal.kT': [1, 2]}\n")
 
 
 @pytest.mark.parametrize("value", [True, 1.0, "3", None, 0, 11])

@@ -458,7 +458,8 @@ def test_keys_that_follow_from_others(kinds, swept, along, tmp_path):
         '[units]\nlength = "nm"\nforce = "nN"\n[thresholds]\nx_star = 0.1\n'
         f"[drive]\nvelocity = 0.1\n[thermal]\ntemperature = 300.0\n{kinds}"
     )
-    grid, out = {swept: [100.0, 1000.0, 10000.0]}, tmp_path / "s"
+    grid = {swept: pd.Series([100.0, 1000.0, 10000.0])}
+    out = tmp_path / "s"
     run_sweep(tmp_path / "x.toml", grid, out=out, rel_error=0.1, progress=False)
     found = read_sweep(out)
     for x in along:
