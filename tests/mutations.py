@@ -918,6 +918,8 @@ MISTAKES = [
       "test_cli.py::test_rounded_counts_and_times"),
     M("plot: heat of a fixed temperature along a curve", "plots/sweeps.py", "and key not in replaced", "",
       "test_plot.py::test_keys_that_follow_from_others"),
+    M("plot: an axis of one value is not that of the curve", "plots/sweeps.py", "if kind(row[key]) != base[key]",
+      "if table[key].nunique() > 1", "test_plot.py::test_an_axis_of_a_single_value_is_that_of_the_curve"),
     M("plot: a curve along one of two populations", "plots/sweeps.py",
       "if _top(table, key) == _top(table, x))", "if key == x)", "test_plot.py::test_keys_that_follow_from_others"),
     M("run file: the temperature of a population beside its kT", "io/content.py", "_ALTERNATIVES.get(bare)",

@@ -24,7 +24,7 @@ from eqsim.io import storage
 from eqsim.io.content import DERIVED, of_population
 from eqsim.io.export import RENAMED_COLUMNS
 from eqsim.io.labels import axis, plain, symbol
-from eqsim.io.parameters import keys
+from eqsim.io.parameters import keys, parameters
 from eqsim.io.runfile import RunFile, at, stored
 from eqsim.io.units import Quantity, Units
 from eqsim.master.steady import curve
@@ -526,14 +526,14 @@ def _curve_averages(
 def _point(sweep: Sweep, row: Any, more: dict[str, Any]) -> RunFile:
     """The run file at a row of the table."""
     assert sweep.file
-    table = sweep.table
+    table, base = sweep.table, parameters(sweep.file)
     known = {key: kind for key, kind in keys(sweep.file).items() if key in row}
     replaced = {_source(table, key) for key in more}
     changes: dict[str, Any] = {
         key: kind(row[key])
         for key, kind in known.items()
         if not key.startswith("output.") and pd.notna(row[key])
-        if table[key].nunique(dropna=False) > 1
+        if kind(row[key]) != base[key]
         if _source(table, key) == key and key not in replaced
     }
     for x, value in more.items():

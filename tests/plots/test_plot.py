@@ -432,6 +432,29 @@ def test_a_sweep_knows_its_title_units_and_curve(tmp_path):
     assert np.all(np.diff(line.get_ydata()) < 0)
 
 
+def curve_at_points(sweep, x):
+    """The curve of the master equation for friction at the points of a sweep."""
+    (line,) = [
+        line
+        for line in sweep_figure(sweep, sweep.table, (x, "friction"))[0].axes[0].lines
+        if line.get_linestyle() != "None"
+    ]
+    drawn_x, drawn_y = line.get_data()
+    return [drawn_y[drawn_x == value][0] for value in sweep.table[x]]
+
+
+def test_an_axis_of_a_single_value_is_that_of_the_curve(tmp_path):
+    """Not that of the run file. So it is while others are not on disk yet."""
+    run = tmp_path / "x.toml"
+    run.write_text("[drive]\nvelocity = 0.1\n")
+    grid = {"thermal.kT": [0.5], "drive.velocity": [1e-3, 1.0]}
+    run_sweep(run, grid, out=tmp_path / "s", rel_error=0.1, progress=False)
+    found = read_sweep(tmp_path / "s")
+    at_points = curve_at_points(found, "drive.velocity")
+    np.testing.assert_allclose(at_points, found.table["friction_reference"], rtol=1e-6)
+    assert at_points[0] > 1.1 * at_points[1]
+
+
 KELVIN = "thermal.temperature"
 TWO_KINDS = 2 * "[[population]]\nshare = 1\nstiffness = 1.0\n"
 OWN = "[population.thermal]\nkT = 0.01\n"
@@ -463,15 +486,7 @@ def test_keys_that_follow_from_others(kinds, swept, along, tmp_path):
     run_sweep(tmp_path / "x.toml", grid, out=out, rel_error=0.1, progress=False)
     found = read_sweep(out)
     for x in along:
-        (line,) = [
-            line
-            for line in sweep_figure(found, found.table, (x, "friction"))[0]
-            .axes[0]
-            .lines
-            if line.get_linestyle() != "None"
-        ]
-        drawn_x, drawn_y = line.get_data()
-        at_points = [drawn_y[drawn_x == value][0] for value in found.table[x]]
+        at_points = curve_at_points(found, x)
         np.testing.assert_allclose(
             at_points, found.table["friction_reference"], rtol=1e-6
         )
