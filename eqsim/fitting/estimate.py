@@ -4,7 +4,7 @@ import math
 import pickle
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -123,6 +123,18 @@ def minimise(problem: Problem, u: Array, held: int = -1, each: Each = map) -> Mi
         max_nfev=200,
     )
     return search.minimum(least.x, least.status > 0)
+
+
+def search(problem: Problem, u: Array, each: Each = map) -> Minimum:
+    """Least squares from a start, as `minimise`; with a robust loss, which hardly falls
+    towards data that are many standard errors away, also from the end without it."""
+    best = minimise(problem, u, each=each)
+    if problem.loss == "gaussian":
+        return best
+    near = minimise(replace(problem, loss="gaussian"), u, each=each)
+    again = minimise(problem, near.u, each=each)
+    solves = best.solves + near.solves + again.solves
+    return min(best, again, key=lambda end: end.chi2)._replace(solves=solves)
 
 
 def refine(

@@ -519,7 +519,7 @@ def _singular(problem: Problem, allowed: bool) -> list[str]:
 def _search(problem: Problem) -> Callable[..., Minimum]:
     """The function that searches from one start, for a table or for a record."""
     of_record = isinstance(problem.forward, RecordForward)
-    return record.search_record if of_record else estimate.minimise
+    return record.search_record if of_record else estimate.search
 
 
 def fit_prepared(
@@ -636,7 +636,7 @@ def goodness(problem: Problem, u: Array) -> Goodness:
     dof = n + problem.priors - k
     normal, log_density = r, stats.norm.logpdf(r)
     if problem.loss == "student":
-        normal = -stats.norm.ppf(stats.t.sf(r, STUDENT))
+        normal = stats.norm.isf(stats.t.sf(np.abs(r), STUDENT))
         log_density = stats.t.logpdf(r, STUDENT)
     chi2 = float(normal @ normal + priors @ priors)
     deviance = -2.0 * np.sum(log_density - np.log(problem.sigma)) + priors @ priors

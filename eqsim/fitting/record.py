@@ -23,7 +23,7 @@ from scipy import optimize
 
 from eqsim.errors import InputError
 from eqsim.fitting.data import MeasuredAt, Measurements
-from eqsim.fitting.estimate import Each, Minimum, minimise
+from eqsim.fitting.estimate import Each, Minimum, search
 from eqsim.fitting.model import Problem, changed
 from eqsim.fitting.section import BlockSize, Fit, RecordSection
 from eqsim.io.csv import read
@@ -303,9 +303,9 @@ def search_record(problem: Problem, u: Array, each: Each = map) -> Minimum:
         if len(ends) > 1 and ends[-1].chi2 >= (1.0 - _CHI2_FALL) * ends[-2].chi2:
             break
         try:
-            ends.append(minimise(settle_steps(problem, u), u, each=each))
+            ends.append(search(settle_steps(problem, u), u, each=each))
         except TooManySteps:
-            ends.append(minimise(problem, u, each=each))
+            ends.append(search(problem, u, each=each))
         u = ends[-1].u
     best = min(ends, key=lambda end: end.chi2)
     return best._replace(solves=sum(end.solves for end in ends))
