@@ -654,8 +654,17 @@ def compared(result: FitResult, other: RunFile, starts: int) -> Goodness:
     section = section_of(other)
     if (section.record is None) != (result.table.time is None):
         raise InputError("--compare: one run file fits a table and the other a record")
+    table, unit = result.table, section.reference_temperature or 1.0
+    if section.temperature != result.fit.temperature:
+        raise InputError(
+            "--compare: fit.temperature must be the same in both run files"
+        )
+    for name in table.names:
+        if name in section.free:
+            raise InputError(f"fit.free.{name}: is a column of the data, so not free")
+    rows = [one._replace(heat=one.kelvin / unit) for one in table.conditions]
     section = section.model_copy(update={"loss": result.fit.loss})
-    problem = problem_of(other, section, result.table)
+    problem = problem_of(other, section, table._replace(conditions=rows))
     problem = replace(problem, correlation=result.problem.correlation)
     every = estimate.starts(problem, starts, other.output.seed)
     estimate.check_starts(problem, every)

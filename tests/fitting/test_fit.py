@@ -34,7 +34,7 @@ from eqsim.fitting.estimate import (
     search,
     starts,
 )
-from eqsim.fitting.fit import fit, goodness, prepare
+from eqsim.fitting.fit import compared, fit, goodness, prepare
 from eqsim.fitting.model import Problem
 from eqsim.fitting.pictures import band
 from eqsim.fitting.section import NormalPrior, Parameter, parameters_of, section_of
@@ -413,6 +413,35 @@ def test_temperatures(folder):
         < 4.0 * found.intervals[0].sd
     )
     assert not found.rejected
+
+
+def test_compared_at_the_same_temperatures(folder):
+    """The same model in a run file whose kT is that at another temperature has the same
+    chi-square, to rounding; keys that are columns of the data are not free, and
+    temperatures of one run file alone are refused."""
+    rows = ["drive.velocity,temperature,delay.time,friction"]
+    rows += [f"{v},{T},0.1,{F}" for T in (260, 300) for v, F in measured(1)]
+    (folder / "data.csv").write_text("\n".join(rows))
+    content = tomllib.loads(RUN)
+    content["fit"] |= {"temperature": "temperature", "reference_temperature": 260.0}
+    content["fit"]["free"] = bounds("thermal.attempt_frequency")
+
+    def other(kT=0.2, reference=260.0, **free):
+        changes = deepcopy(content)
+        changes["thermal"]["kT"] = kT
+        changes["fit"]["reference_temperature"] = reference
+        changes["fit"]["free"] |= free
+        return check(changes, folder)
+
+    prepared = prepare(other(), None, False)
+    first = SimpleNamespace(**prepared._asdict())
+    same = compared(first, other(), 1)
+    moved = compared(first, other(0.2 * 300.0 / 260.0, 300.0), 1)
+    assert moved.chi2 == pytest.approx(same.chi2, rel=1e-6)
+    with pytest.raises(InputError, match=r"delay\.time: is a column of the data"):
+        compared(first, other(**{"delay.time": {"bounds": [1e-3, 1.0]}}), 1)
+    with pytest.raises(InputError, match=r"fit\.temperature must be the same"):
+        compared(first, load(folder / "run.toml"), 1)
 
 
 @pytest.mark.verification
