@@ -383,23 +383,28 @@ class SliderResult(ProgrammeResult):
         """Sizes of bursts under a force, or of avalanches in the second half of a run
         behind a stage; what numbers are divided by, and the exact law, if there is
         one."""
-        contacts, stage = self.ensemble, self.drive.stage
-        per, most = contacts.count * self.file.output.replicas, _LARGEST_SIZE
-        if stage is not None:
+        per = self.ensemble.count * self.file.output.replicas
+        if self.drive.stage is not None:
             breaks = breaks[t > 0.5 * self.trajectory.t[-1]]
             per = breaks.size
+        return breaks, per, self._law_of_sizes()
 
-        def law() -> Array:
-            if stage is None:
-                return bursts(contacts, range(1, most + 1)).number
-            if contacts.populations:
-                raise InputError("population: has no law of sizes")
-            law, springs = contacts.thresholds, contacts.stiffness_law
-            load = load_of(law, stage.stiffness, springs)
-            return size_law(law, load, most, springs)
-
-        known = if_any(law).solution
-        return breaks, per, np.empty(0) if known is None else known
+    def _law_of_sizes(self) -> Array:
+        """P(1), P(2), ... of avalanches, or numbers of bursts, of infinitely many
+        contacts; empty where they are not alike, have equal thresholds, are born
+        stretched, age or are broken by heat, and behind a stage with a delay."""
+        contacts, stage = self.ensemble, self.drive.stage
+        law, springs = contacts.thresholds, contacts.stiffness_law
+        changing = (contacts.thermal, contacts.aging, contacts.newborn)
+        if contacts.populations or law.steps.size or any(x.active for x in changing):
+            return np.empty(0)
+        if stage is None:
+            found = if_any(lambda: bursts(contacts, range(1, _LARGEST_SIZE + 1)))
+            return found.solution.number if found.solution else np.empty(0)
+        if contacts.delay.time:
+            return np.empty(0)
+        load = load_of(law, stage.stiffness, springs)
+        return size_law(law, load, _LARGEST_SIZE, springs)
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
         """Each slip, and the mean period and drop, which leave out the first; under a

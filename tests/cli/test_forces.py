@@ -8,7 +8,7 @@ import pytest
 from cases import chosen
 from command_line import call
 
-from eqsim import bursts, lifetime, load
+from eqsim import bursts, lifetime, load, run
 
 BUNDLE = """
 [contacts]
@@ -91,6 +91,11 @@ def test_a_run_behind_a_stage_draws_its_avalanches(tmp_path):
     done = call("run", path, "--out", tmp_path / "out")
     assert done.exit_code == 0, done.output
     assert (tmp_path / "out" / "avalanches.png").exists()
+    # the law is of contacts that only force breaks, one after the other
+    for changes in ({}, {"thermal.kT": 0.05}, {"thresholds.law": "delta"}):
+        figure = run(path, changes=changes).figures("")["avalanches"]
+        (_, *texts) = figure.axes[0].get_legend_handles_labels()[1][::-1]
+        assert texts == ["infinitely many contacts, exact"] * (not changes), changes
 
 
 @pytest.mark.verification
