@@ -931,7 +931,7 @@ MISTAKES = [
       "_ALTERNATIVES.get(key)", "test_population_files.py::test_a_temperature_of_a_population_replaces_its_heat"),
     M("plot: values that are not reliable are filled", "plots/sweeps.py", "unsure |= members[reliable].eq(False)",
       "pass", "test_plot.py::test_points_of_a_column_that_is_not_reliable_are_open"),
-    M("run: avalanches with heat beside a law without", "workflows/run.py", "changing = (contacts.thermal,", "changing = (",
+    M("run: avalanches with heat beside a law", "workflows/run.py", "changing = (contacts.thermal,", "changing = (",
       "test_forces.py::test_a_run_behind_a_stage_draws_its_avalanches"),
     M("run: a picture of an earlier run is not told", "io/storage.py", '(".csv", ".png", ".pdf", ".svg")', '(".csv",)',
       "test_outputs.py::test_tables_of_an_earlier_run_are_named"),
