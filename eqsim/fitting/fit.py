@@ -378,6 +378,7 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
             else:
                 value = value - section.nuisance(key) * shape
     parameters = [one for one in free if one.key not in nuisance]
+    k = "contacts.stiffness"
     first, scale_of = len(parameters), np.full(names.size, -1)
     unit = np.ones(names.size)
     if scales:
@@ -394,7 +395,7 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
         scale_of=scale_of,
         unit=unit,
         spread=spread,
-        stiffness=file["contacts.stiffness"],
+        stiffness=np.array([dict(row.changes).get(k, file[k]) for row in rows]),
         nuisance=nuisance,
         loss=section.loss,
         step=DERIVATIVE_STEP if table.time is None else record.STEP_CHOSEN,

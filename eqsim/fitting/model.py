@@ -157,8 +157,8 @@ class Problem:
     unit: Array
     # True of standard deviations of the force, which go as the root of a free scale.
     spread: Array
-    # Stiffness of a contact, if it is not free.
-    stiffness: float = 1.0
+    # Stiffness of a contact, if it is not free, of each measurement or of all.
+    stiffness: Array | float = 1.0
     # Functions added to predictions, by the key of their linear factor.
     nuisance: dict[str, Array] = field(default_factory=dict)
     loss: str = "gaussian"
@@ -221,7 +221,8 @@ class Problem:
         factor, free = self.unit.copy(), self.scale_of >= 0
         if free.any():
             scale = np.array([values[key] for key in self.keys])[self.scale_of[free]]
-            k = values.get("contacts.stiffness", self.stiffness)
+            given = values.get("contacts.stiffness", self.stiffness)
+            k = np.broadcast_to(given, factor.shape)[free]
             factor[free] *= np.where(self.spread[free], np.sqrt(scale * k), scale)
         return factor
 
@@ -363,4 +364,5 @@ class Problem:
             scale_of=self.scale_of[same],
             unit=self.unit[same],
             spread=self.spread[same],
+            stiffness=np.broadcast_to(self.stiffness, self.value.shape)[same],
         )

@@ -147,11 +147,11 @@ def test_a_stopped_fit_goes_on(folder, monkeypatch):
         return call
 
     whole = fit(file, folder, starts=2)
-    for module, name in ((estimate, "minimise"), (profiles, "side")):
+    for module, name in ((estimate, "search"), (profiles, "side")):
         monkeypatch.setattr(module, name, counted(getattr(module, name), 4))
     with pytest.raises(KeyboardInterrupt):
         fit(file, folder, starts=2, keep=out)
-    assert calls == ["minimise"] * 2 + ["side"] * 3
+    assert calls == ["search"] * 2 + ["side"] * 3
     monkeypatch.undo()
     calls.clear()
     monkeypatch.setattr(profiles, "side", counted(profiles.side, 99))
@@ -437,7 +437,7 @@ def test_compared_at_the_same_temperatures(folder):
     first = SimpleNamespace(**prepared._asdict())
     same = compared(first, other(), 1)
     moved = compared(first, other(0.2 * 300.0 / 260.0, 300.0), 1)
-    assert moved.chi2 == pytest.approx(same.chi2, rel=1e-6)
+    assert moved.chi2 == pytest.approx(same.chi2, rel=1e-6, abs=0)
     with pytest.raises(InputError, match=r"delay\.time: is a column of the data"):
         compared(first, other(**{"delay.time": {"bounds": [1e-3, 1.0]}}), 1)
     with pytest.raises(InputError, match=r"fit\.temperature must be the same"):
@@ -645,6 +645,26 @@ def test_what_is_no_symmetry_is_not_refused(tmp_path, free, data):
     assert len(prepared.warnings) == (free == ALL[:3])
 
 
+def test_the_standard_deviation_of_the_force_of_each_stiffness(tmp_path):
+    """A column of stiffnesses: predictions are those of run files with these, to
+    rounding."""
+    names = "drive.velocity,contacts.stiffness,force_std\n"
+    (tmp_path / "data.csv").write_text(names + "0.1,1,0.5\n0.1,4,0.5\n")
+    (tmp_path / "one.csv").write_text("drive.velocity,force_std\n0.1,0.5\n0.1,0.5\n")
+    content = {"thermal": {"kT": 0.1}}
+    content["fit"] = {"noise": {"relative": 0.05}, "free": bounds("thermal.kT")}
+    content["fit"]["scale"] = {"start": 3.0, "bounds": [0.01, 100.0]}
+
+    def predicted(data, stiffness):
+        base = deepcopy(content) | {"contacts": {"stiffness": stiffness}}
+        base["fit"]["data"] = data
+        problem = prepare(check(base, tmp_path), None, False).problem
+        return problem.given(problem.start)
+
+    right = [predicted("one.csv", k)[0] for k in (1.0, 4.0)]
+    np.testing.assert_allclose(predicted("data.csv", 2.0), right, rtol=1e-12)
+
+
 FREE = {"thermal.kT": {"bounds": [1e-3, 20.0]}}
 BAD = {
     "no [fit]": ({}, None, DATA, "fit: the run file has no section"),
@@ -777,11 +797,13 @@ def test_covariance_of_keys_that_only_their_product_tells():
     a, b, c = np.random.default_rng(2).standard_normal((3, 12))
     straight = np.sqrt(np.diag(np.linalg.inv(np.array([a, b, c]) @ np.c_[a, b, c])))
     split = np.sqrt(np.diag(covariance(np.c_[a, a + 1e-10 * b, c])))
-    assert split[[1, 2]] == pytest.approx([1e10 * straight[1], straight[2]], rel=1e-4)
+    assert split[[1, 2]] == pytest.approx(
+        [1e10 * straight[1], straight[2]], rel=1e-4, abs=0
+    )
     same = np.sqrt(np.diag(covariance(np.c_[a, a, 1e-20 * c])))
     assert list(np.isinf(same)) == [True, True, False]
     alone = np.sqrt(np.linalg.inv(np.array([a, c]) @ np.c_[a, c])[1, 1])
-    assert same[2] == pytest.approx(1e20 * alone, rel=1e-12)
+    assert same[2] == pytest.approx(1e20 * alone, rel=1e-12, abs=0)
 
 
 def test_public_name():
@@ -960,7 +982,7 @@ def test_residuals_of_either_sign():
     exact = problem.given(u)
     sides = [replace(problem, value=exact + sign * off) for sign in (1.0, -1.0)]
     above, below = (goodness(one, u).chi2 for one in sides)
-    assert above == pytest.approx(below, rel=1e-12)
+    assert above == pytest.approx(below, rel=1e-12, abs=0)
 
 
 @pytest.mark.parametrize("loss", ["gaussian", "student"])
