@@ -933,6 +933,8 @@ MISTAKES = [
       "pass", "test_plot.py::test_points_of_a_column_that_is_not_reliable_are_open"),
     M("run: avalanches with heat beside a law", "workflows/run.py", "changing = (contacts.thermal,", "changing = (",
       "test_forces.py::test_a_run_behind_a_stage_draws_its_avalanches"),
+    M("run: drops of slips in the unit of forces over N k", "workflows/run.py", "sizes = (factor * slip.drop,",
+      "sizes = (slip.drop,", "test_stage.py::test_drops_are_shown_as_a_coefficient_where_it_is_known"),
     M("run: a picture of an earlier run is not told", "io/storage.py", '(".csv", ".png", ".pdf", ".svg")', '(".csv",)',
       "test_outputs.py::test_tables_of_an_earlier_run_are_named"),
     M("picture: labels beyond the page", "plots/panels.py",

@@ -425,17 +425,24 @@ class SliderResult(ProgrammeResult):
         if len(drive.segments) > 1 or not run.slips:
             yield from super().rows()
             return
-        yield "slip", "at t", "at X", "drop of the force", "takes", "over"
+        largest = max(slip.drop for slip in run.slips)
+        shown = self.file.preferred(Estimate(largest, None, 0))
+        factor, of = 1.0, "drop of the force"
+        if shown:
+            unit = f" [{shown.unit}]" * bool(shown.unit)
+            factor, of = shown.factor, f"drop of {shown.symbol}{unit}"
+        yield "slip", "at t", "at X", of, "takes", "over"
         for index, slip in enumerate(run.slips[:_MOST_LINES]):
             bound = "" if slip.begun and slip.ended else "> "
             distance = abs(slip.distance) if bound else slip.distance
-            sizes = (slip.drop, slip.duration, distance)
+            sizes = (factor * slip.drop, slip.duration, distance)
             places = (f"{number:.6g}" for number in (slip.t, slip.X))
             yield str(index), *places, *(f"{bound}{number:.6g}" for number in sizes)
         if len(run.slips) > _MOST_LINES:
             yield "...", *[""] * 5
         if run.period.value is not None:
-            yield "mean", f"every {run.period}", "", run.drop, "", ""
+            drop = Row("", (), shown).of(run.drop)
+            yield "mean", f"every {run.period}", "", drop, "", ""
 
     def _standing(self) -> Iterator[tuple[Any, ...]]:
         """Displacement and pinned share at the end of a slider that a force has not

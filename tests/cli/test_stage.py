@@ -2,6 +2,7 @@
 in one line."""
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -136,6 +137,21 @@ def test_run_and_replay(path, tmp_path):
     again = call("replay", tmp_path / "out" / "trajectory.parquet")
     assert again.exit_code == 0, again.output
     assert f"{len(slips)} slips" in done.output
+
+
+def test_drops_are_shown_as_a_coefficient_where_it_is_known(path, tmp_path):
+    """As forces of segments are: N k over the load, 500/250 times that of summary.json."""
+    path.write_text(f"{FILE}[interface]\nnormal_load = 250.0\n")
+    done = call("run", path, "--out", tmp_path / "out", "--no-exact")
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert "│ drop of mu │" in re.sub(" +", " ", done.output.replace("┃", "│"))
+    rows = [line.split("│")[1:-1] for line in done.output.splitlines()]
+    assert len(summary["slips"]) > 1
+    drops = [
+        float(row[3].strip("> ")) for row in rows if row and row[0].strip().isdigit()
+    ]
+    expected = [2.0 * slip["drop"] for slip in summary["slips"]]
+    assert drops == pytest.approx(expected, rel=1e-5, abs=0)
 
 
 def test_avalanches(path, tmp_path):
