@@ -53,6 +53,8 @@ _CELL_PER_THRESHOLD = 0.02
 _LEAST_CELLS = 500
 # Most cells of the coarser grid.
 _MOST_CELLS = 10_000
+# Parts of a cell over which the force that stretched births carry is straight.
+_PARTS_OF_CELL = 8
 # What falls late over all, below which that is rounding.
 _ROUNDED = 1e-11
 # Most cells where contacts stay in step.
@@ -321,7 +323,7 @@ def _in_place(falling: Array, means: Array) -> Array:
     evenly over each, falls where it does in the mean: what falls late in one is in part
     counted in the next. `means` are those of the values over cells."""
     late = means - 0.5 * (falling[:-1] + falling[1:])
-    late[np.abs(late) < _ROUNDED * np.abs(falling[0])] = 0.0
+    late[np.abs(late) < _ROUNDED * np.abs(falling).max()] = 0.0
     falling = falling.copy()
     falling[1:] += np.maximum(late, 0.0)
     falling[1:-1] += np.minimum(late[1:], 0.0)
@@ -492,9 +494,18 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
         # whose decrease weighs breaks by the force they had at the beginning
         surviving = rest[2][2] - x * rest[1][2]
         carried = rest[1][1] - x * rest[0][1]
-        # int_x^inf of that
-        further = 0.5 * (rest[2][1] - 2.0 * x * rest[1][1] + x**2 * rest[0][1])
-        carried = _in_place(carried, (further[:-1] - further[1:]) / x[1])
+        if s.newborn.active:
+            inner = np.linspace(0.0, x[-1], _PARTS_OF_CELL * (x.size - 1) + 1)
+            force, pinned_later = (
+                total[power][1] - profile.integral(inner, power)[1] for power in (1, 0)
+            )
+            parts = force - inner * pinned_later
+            parts = (0.5 * (parts[:-1] + parts[1:])).reshape(-1, _PARTS_OF_CELL)
+            within = parts.mean(axis=1)
+        else:  # in closed form
+            further = 0.5 * (rest[2][1] - 2.0 * x * rest[1][1] + x**2 * rest[0][1])
+            within = (further[:-1] - further[1:]) / x[1]
+        carried = _in_place(carried, within)
         breaks = (carried[:-1] - carried[1:]) / cycle  # in each cell, times force
         late, detached = _reborn(renewal_of(profile, x, s).force, x, s, profile)
         back = after(breaks, np.diff(late)) / x[1]
