@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse.linalg import splu
 
 from eqsim.engine.blocks import Progress, Threads, require_records, workers_of
-from eqsim.engine.chain_records import ChainTrajectory, fronts_of
+from eqsim.engine.chain_records import ChainTrajectory, fronts_of, missing_steps
 from eqsim.engine.chain_steps import (
     BROKE,
     COURSE,
@@ -369,10 +369,6 @@ def chain_trajectory(
         by_replica([_in_units(run.broke, pull, unit) for run in half])
         for half in (fine, coarse)
     )
-    fronts, theirs = fronts_of(broke), fronts_of(coarsely)["speed"]
-    if fronts["speed"].size and theirs.size:
-        change = abs(np.mean(theirs) - np.mean(fronts["speed"])) / (COARSER - 1)
-        fronts["speed_stderr"] = np.hypot(fronts["speed_stderr"], change)
     return ChainTrajectory(
         **columns,
         lives=sum(run.breaks for run in fine),
@@ -387,7 +383,7 @@ def chain_trajectory(
         coarser_events=by_replica(
             [_in_units(run.events, pull, unit) for run in coarse]
         ),
-        fronts=fronts,
+        fronts=missing_steps(fronts_of(broke), fronts_of(coarsely)),
     )
 
 

@@ -50,8 +50,8 @@ class ChainTrajectory(PulledRecord):
         Those of the same contacts in steps four times as long; a third of what these
         change is in the errors of means over events.
     fronts : dict of ndarray
-        `fronts_of` the blocks that broke. The errors of speeds include a third of what
-        the mean speed changes in steps four times as long.
+        `fronts_of` the blocks that broke, with errors that include those of finite steps
+        (`missing_steps`).
     """
 
     chain: Chain
@@ -221,3 +221,17 @@ def fronts_of(broke: dict[str, Array]) -> dict[str, Array]:
             rows.append((*where, speed, error, int(broke["replica"][here[0]])))
     found = np.array(rows, FRONT)
     return {name: found[name].copy() for name in FRONT.names or ()}
+
+
+def missing_steps(
+    fronts: dict[str, Array], coarse: dict[str, Array]
+) -> dict[str, Array]:
+    """Fronts whose errors include that of finite steps: a third of what the mean speed
+    changes in steps four times as long, which gave `coarse`, or a third of it where
+    these have no front."""
+    speed = fronts["speed"]
+    if not speed.size:
+        return fronts
+    theirs = float(np.mean(coarse["speed"])) if coarse["speed"].size else 0.0
+    missed = (theirs - float(np.mean(speed))) / 3.0
+    return fronts | {"speed_stderr": np.hypot(fronts["speed_stderr"], missed)}

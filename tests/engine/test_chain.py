@@ -26,7 +26,7 @@ from eqsim import (
     trajectory,
 )
 from eqsim.engine.chain import chained, follow, pull_of_chain
-from eqsim.engine.chain_records import fronts_of
+from eqsim.engine.chain_records import fronts_of, missing_steps
 from eqsim.engine.chain_steps import follow_all, march
 from eqsim.engine.slider import Slider
 from eqsim.io.runfile import check
@@ -492,6 +492,19 @@ def test_errors_of_fronts_have_the_unit_of_their_speed():
     wild = 0.05 * j - 5.0 * off
     assert np.polyfit(j, wild, 1)[0] > 0.0
     assert fronts_of(rows | {"t": wild})["speed"].size == 0
+
+
+def test_errors_of_fronts_hold_those_of_steps():
+    """A third of what the mean speed changes in steps four times as long; of a front
+    that these do not have, a third of it, to rounding."""
+    j = np.arange(10)
+    rows = {"replica": 0 * j, "event": 0 * j, "block": j}
+    fine, coarse = (fronts_of(rows | {"t": j / speed}) for speed in (2.0, 1.7))
+    none = {name: column[:0] for name, column in coarse.items()}
+    for theirs, error in ((coarse, 0.1), (none, 2.0 / 3.0), (fine, 0.0)):
+        found = missing_steps(fine, theirs)["speed_stderr"][0]
+        assert found == pytest.approx(error, rel=1e-9, abs=1e-9)
+    assert missing_steps(none, fine)["speed_stderr"].size == 0
 
 
 def test_fronts_are_named_by_the_speed_of_waves():
