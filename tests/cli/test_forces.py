@@ -82,20 +82,20 @@ def test_a_run_of_a_bundle_draws_its_bursts(tmp_path):
     assert abs(single - exact.number[0]) < 4.5 * np.sqrt(exact.number[0] / 1e4)
 
 
-def test_a_run_behind_a_stage_draws_its_avalanches(tmp_path):
+COLD, WARM, EQUAL = {}, {"thermal.kT": 0.05}, {"thresholds.law": "delta"}
+
+
+@chosen("changes", [COLD, WARM, EQUAL], [COLD, EQUAL])
+def test_a_run_behind_a_stage_draws_its_avalanches(changes, tmp_path):
+    """Beside the law of contacts that only force breaks, one after the other."""
     path = tmp_path / "stage.toml"
     path.write_text(
         "[contacts]\ncount = 200\n[drive]\nvelocity = 1.0\ndistance = 5.0\n"
         "[drive.stage]\nstiffness = 0.5\n[output]\npoints = 11\n"
     )
-    done = call("run", path, "--out", tmp_path / "out")
-    assert done.exit_code == 0, done.output
-    assert (tmp_path / "out" / "avalanches.png").exists()
-    # the law is of contacts that only force breaks, one after the other
-    for changes in ({}, {"thermal.kT": 0.05}, {"thresholds.law": "delta"}):
-        figure = run(path, changes=changes).figures("")["avalanches"]
-        (_, *texts) = figure.axes[0].get_legend_handles_labels()[1][::-1]
-        assert texts == ["infinitely many contacts, exact"] * (not changes), changes
+    figure = run(path, changes=changes).figures("")["avalanches"]
+    (_, *texts) = figure.axes[0].get_legend_handles_labels()[1][::-1]
+    assert texts == ["infinitely many contacts, exact"] * (not changes)
 
 
 @pytest.mark.verification

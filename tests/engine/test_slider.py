@@ -666,6 +666,7 @@ def test_a_spring_that_pushes():
         assert on.X[-1] > 0.5
 
 
+@pytest.mark.verification
 def test_few_replicas_of_few_contacts_have_errors():
     """Eight replicas of which none has met a rare break: errors of the pinned share are
     not 0, and forces and places are within 4.5 of theirs of the mean of 1000 replicas

@@ -74,7 +74,11 @@ BACK = {"velocity": -0.5, "time": 8.0}
     ("start", "programme"),
     [
         ({"start": "fresh"}, [AHEAD]),
-        ({"start": "stationary", "velocity": 0.5}, [AHEAD, BACK]),
+        pytest.param(
+            {"start": "stationary", "velocity": 0.5},
+            [AHEAD, BACK],
+            marks=pytest.mark.verification,
+        ),
     ],
 )
 def test_forces_may_be_0(folder, start, programme):

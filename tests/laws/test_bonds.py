@@ -614,6 +614,7 @@ def test_steep_off_rates_of_gamma_laws():
         assert math.log(found[0]) == pytest.approx(exact, rel=0, abs=1e-8)
 
 
+@pytest.mark.verification
 def test_annealed_catch_bonds_that_any_force_holds():
     """Catch forces of 1e-14: tables began there. |z| < 4.5 (false alarm 1e-5)."""
     heat = Thermal(

@@ -809,7 +809,7 @@ FLUCTUATING = [
 @chosen(
     ("disorder", "newborn", "law", "thermal", "delay"),
     FLUCTUATING,
-    [FLUCTUATING[0], FLUCTUATING[3]],
+    [FLUCTUATING[3]],
 )
 def test_autocovariance_from_lag_0_on(disorder, newborn, law, thermal, delay):
     """It is the variance at lag 0, beside which it does not jump: over 1e-6 of a life it

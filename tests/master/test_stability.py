@@ -508,6 +508,7 @@ def test_many_equal_steps_are_a_smooth_law():
     assert found == pytest.approx(exact, abs=5e-4 * exact)
 
 
+@pytest.mark.verification
 def test_limit_of_short_delays():
     """kappa_c is of first order in tau: D = 1 - p tau, Z = -beta_0 q M p tau/(1 - P)."""
     short, shorter = (
@@ -698,7 +699,11 @@ def test_perturbations_that_panels_of_ages_do_not_resolve(case):
 
 @pytest.mark.parametrize(
     "case",
-    ["narrow, hot", "slow", pytest.param("delayed", marks=pytest.mark.verification)],
+    [
+        "narrow, hot",
+        pytest.param("slow", marks=pytest.mark.verification),
+        pytest.param("delayed", marks=pytest.mark.verification),
+    ],
 )
 def test_perturbations_that_do_not_exist(case):
     """A slider that no spring, however soft, makes unstable has no growing perturbation,
@@ -855,7 +860,7 @@ def test_command(tmp_path):
         assert said in error
 
 
-@pytest.mark.parametrize("log_rate", [5.0, 60.0])
+@chosen("log_rate", [5.0, 60.0], [60.0])
 def test_heat_that_breaks_contacts_long_before_a_slip(log_rate):
     """The force of a fresh start is level within less than a slip, and does not fall."""
     hot = Ensemble(Gamma(1.0), Thermal(kT=2.0, attempt_frequency=math.exp(log_rate)))
