@@ -90,14 +90,15 @@ NO_CHOICES = unmade_choices(0, 0)
 class CohortPath(NamedTuple):
     """Times and displacements of the edges of steps, arrays (edges,); the largest width
     of a cohort in X, and the largest share of its age that it may span in time; the
-    most cohorts of a stationary start, after a `velocity`, 0 for a fresh start;
-    decisions; and a flag (1,) that ends the march early once it is set."""
+    most cohorts of a stationary start and their width in X, after a `velocity`, 0 for a
+    fresh start; decisions; and a flag (1,) that ends the march early once it is set."""
 
     t: Array
     X: Array
     width: float
     share: float
     cohorts: int
+    first_width: float
     velocity: float
     choices: Choices
     stop: Array
@@ -344,8 +345,9 @@ def begin(contacts: Any, path: CohortPath, cohorts: Cohorts) -> tuple[int, float
     if path.cohorts == 0:
         _born(contacts, cohorts, 0, PathStep(0.0, 0.0, 0.0, 0.0))
         return 1, 0.0
-    dt, count = path.width / path.velocity, 0
-    step, cycle = PathStep(-dt, -path.width, 0.0, 0.0), contacts.delay.mean
+    width, count = path.first_width, 0
+    dt, cycle = width / path.velocity, contacts.delay.mean
+    step = PathStep(-dt, -width, 0.0, 0.0)
     for i in range(path.cohorts):
         if i == 0:
             cohort = _born(contacts, cohorts, 0, step)
@@ -353,9 +355,9 @@ def begin(contacts: Any, path: CohortPath, cohorts: Cohorts) -> tuple[int, float
             cohorts.rows[i] = cohorts.rows[i - 1]
             copy(cohorts.z[i - 1], cohorts.z[i])
             cohort = cohorts.rows[i]
-            cohort.X_first -= path.width
-            cohort.X_last -= path.width
-            cohort.X_mean -= path.width
+            cohort.X_first -= width
+            cohort.X_last -= width
+            cohort.X_mean -= width
             cohort.t_first -= dt
             cohort.t_last -= dt
             cohort.t_mean -= dt

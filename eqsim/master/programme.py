@@ -88,6 +88,10 @@ _NO_RATE = -1e4
 MOST_STEPS = 200_000
 # Most cohorts of a stationary start, in steps of the coarsest grid.
 _MOST_COHORTS = 5000
+# Width of cohorts of a stationary start of the coarsest grid, over lives that heat ends.
+_WIDTH_PER_LIFE = 0.2
+# Edge of the finest of three grids at the end of the first step of the coarsest.
+_FIRST_STEP_OF_FINEST = 4
 # The range of thresholds, in normal deviates on either side.
 _DEVIATES = 8.2
 # Argument of sinh at the last stratum: those in the middle are 1.8 times narrower.
@@ -384,14 +388,17 @@ def heat_is_idle(ensemble: Ensemble, drive: Drive | Programme) -> bool:
 
 class Numerics(NamedTuple):
     """Contacts along a course, and how to resolve them: a typical threshold, the
-    largest displacement in a step of the coarsest grid, and the longest life, in
-    displacement, in the stationary state before."""
+    largest displacement in a step of the coarsest grid; the longest life and the width
+    of cohorts, both in displacement, in the stationary state before, and whether these
+    resolve the life of a median threshold."""
 
     ensemble: Reduced
     course: Course
     typical: float
     width: float
     life: float
+    first_width: float
+    resolves_lives: bool
 
     def contacts(self, fine: float) -> PooledContacts | Fronts:
         """Contacts for kernels, with `fine` times the strata or cells of the coarsest
@@ -412,9 +419,9 @@ class Numerics(NamedTuple):
     ) -> CohortPath:
         """Path for kernels, through edges t, X of steps, arrays (edges,)."""
         width, before = self.width / fine, self.course.before
-        cohorts = math.ceil(self.life / width) if before else 0
-        share = STEP_PER_AGE / fine
-        return CohortPath(t, X, width, share, cohorts, before, choices, NEVER)
+        first, share = self.first_width / fine, STEP_PER_AGE / fine
+        cohorts = math.ceil(self.life / first) if before else 0
+        return CohortPath(t, X, width, share, cohorts, first, before, choices, NEVER)
 
 
 def _typical(contacts: Reduced, reach: float) -> float:
@@ -433,11 +440,11 @@ def _typical(contacts: Reduced, reach: float) -> float:
     return float(np.mean(law.inverse_survival(-np.log1p(-share * ranks)))) / law.scale
 
 
-def outlived(contacts: Reduced, speed: float) -> Array:
+def outlived(contacts: Reduced, speed: float, rank: float = math.log(2.0)) -> Array:
     """Stretches that 1/e and e^-36 of contacts without delay outlive at a speed, shape
-    (2,), if none or the median threshold is in the way."""
+    (2,), if none or the threshold that e^-`rank` exceed, the median, is in the way."""
     law, barrier = contacts.law, contacts.barrier
-    xi = np.array([float(law.inverse_survival(math.log(2.0))) / law.scale])
+    xi = np.array([float(law.inverse_survival(rank)) / law.scale])
     a = barrier.b * kappa_of(contacts, xi)
     levels = np.log([speed, 36.0 * speed])
     return np.minimum(barrier.stretch_at(levels, xi, a)[0], xi)
@@ -477,7 +484,13 @@ def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
             "programme: thresholds of hundreds of widths of their law matter, and have "
             'no reference with start = "stationary"; use start = "fresh"'
         )
-    return Numerics(contacts, course, typical, width, life)
+    first = short = width
+    if v and contacts.barrier.thermal and isinstance(aging, Unaged):
+        # heat may break contacts long before they are stretched by a step
+        short = float(outlived(contacts, v)[0])
+        life = min(life, float(outlived(contacts, v, 36.0)[1]))
+        first = max(min(width, _WIDTH_PER_LIFE * short), life / _MOST_COHORTS)
+    return Numerics(contacts, course, typical, width, life, first, first <= short)
 
 
 def solve(contacts: Reduced, course: Course) -> tuple[Array, Array, list[History]]:
@@ -613,7 +626,11 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
     grids = [np.array(history[:3]) for history in solved]
     best, errors = _extrapolated_means(edges, grids, jumps)
     if course.before:
-        errors += _missed_at_first(ensemble, programme, best[:, 0])[:, None]
+        known_there = [0]
+        if not numerics_of(contacts, course, math.inf).resolves_lives:
+            known_there.append(_FIRST_STEP_OF_FINEST)
+        missed = _missed_at_first(ensemble, programme, best[:, known_there])
+        errors += missed[:, None]
     # the variance is interpolated: it is nearer to linear than the mean square
     best[2] -= best[0] ** 2
     values, breaks = np.zeros((3, t.size)), np.zeros(t.size)
@@ -650,15 +667,16 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
 
 
 def _missed_at_first(ensemble: Ensemble, programme: Programme, first: Array) -> Array:
-    """Errors of the means at the beginning, force without drag, pinned share and mean
-    square, which are those of the stationary state before: large where lives are far
-    shorter than steps."""
+    """Largest errors of the means `first`, shape (3, instants), force without drag,
+    pinned share and mean square at the beginning, and next to it, where they are still
+    those of the stationary state before: large where lives are far shorter than
+    steps."""
     bare = replace(ensemble, eta=0.0, viscosity=Viscosity())
     exact = reference(bare, Drive(abs(programme.velocity or 0.0)))
-    force = abs(abs(first[0]) - known(exact.friction) / ensemble.thresholds.scale)
-    pinned = abs(first[1] - known(exact.pinned))
-    square = 2.0 * first[2] * force / max(abs(first[0]), 1e-300)
-    return np.array([force, pinned, square])
+    force = np.abs(first[0]) - known(exact.friction) / ensemble.thresholds.scale
+    force, pinned = np.abs(force), np.abs(first[1] - known(exact.pinned))
+    square = 2.0 * first[2] * force / np.maximum(np.abs(first[0]), 1e-300)
+    return np.array([force, pinned, square]).max(axis=1)
 
 
 def _extrapolated_means(

@@ -679,7 +679,6 @@ def test_a_run_that_was_stopped_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr("eqsim.io.states._EVERY", 0.0)
     save = States.save
     for number, row in ((0, 20), (1, 5)):
-
         # the thread may begin the next replica before it is told to end
         def saved(states, replica, state, stop=(number, row)):
             if replica <= stop[0]:

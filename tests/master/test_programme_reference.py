@@ -857,6 +857,29 @@ def test_heat_that_is_idle_is_left_out():
         assert not programme.heat_is_idle(other, drive)
 
 
+EVEN = Distribution(stats.uniform(0.44, 0.58))
+
+
+@pytest.mark.parametrize("delay", [Delay(4.0), Delay(4.0, "exponential")])
+@pytest.mark.parametrize(
+    ("law", "velocity", "largest"), [(EVEN, 1e-5, 1e-3), (Gamma(1.0), 1e-8, 1.0)]
+)
+def test_stationary_starts_of_contacts_that_hardly_move(law, velocity, delay, largest):
+    """Over a fifth of a life at the velocity before nothing changes, though heat ends
+    lives within 1e-5 or 1e-8 of a threshold: what equal cohorts do not resolve, as
+    lives differ by factors of a million, is in the error."""
+    heat = Thermal(kT=0.86, attempt_frequency=1.0)
+    hot = Ensemble(law, heat, delay=delay, stiffness_law="uniform")
+    way = [Segment(velocity, distance=0.2 * velocity)]
+    drive = Programme(way, start="stationary", velocity=velocity)
+    found, exact = transient(hot, drive, points=5), reference(hot, Drive(velocity))
+    off = np.abs(found.pinned - exact.pinned.value)
+    assert np.all(off <= found.pinned_error)
+    assert found.pinned_error.max() < largest
+    off = np.abs(found.force - exact.friction.value)
+    assert np.all(off <= found.force_error)
+
+
 def test_stationary_starts_of_lives_far_shorter_than_steps():
     """Strong contacts of a share exp(-37) carry the force while others live 1e-10 of a
     step: what steps do not resolve is in the error; it was a hundredth of that."""
