@@ -132,7 +132,7 @@ MISTAKES = [
       "test_slider.py::test_few_replicas_of_few_contacts_have_errors"),
     M("programmes: a stationary start is what steps make of it", "master/programme.py",
       "errors += missed[:, None]", "errors += 0.0 * missed[:, None]",
-      "test_programme_reference.py::test_stationary_starts_of_lives_far_shorter_than_steps"),
+      "test_programme_reference.py::test_stationary_starts_of_contacts_that_hardly_move"),
     M("slips: short records have no bias", "engine/records.py", "math.hypot(math.sqrt(variance / n), short)",
       "math.sqrt(variance / n)", "test_slider.py::test_periods_of_short_records"),
     M("steady: no clock beyond 40 is missed", "engine/proposal.py",

@@ -485,10 +485,11 @@ def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
             'no reference with start = "stationary"; use start = "fresh"'
         )
     first = short = width
-    if v and contacts.barrier.thermal and isinstance(aging, Unaged):
+    if v and contacts.barrier.thermal:
         # heat may break contacts long before they are stretched by a step
         short = float(outlived(contacts, v)[0])
-        life = min(life, float(outlived(contacts, v, 36.0)[1]))
+        if isinstance(aging, Unaged):
+            life = min(life, float(outlived(contacts, v, 36.0)[1]))
         first = max(min(width, _WIDTH_PER_LIFE * short), life / _MOST_COHORTS)
     return Numerics(contacts, course, typical, width, life, first, first <= short)
 
