@@ -123,7 +123,7 @@ def _law(path: Path, column: str | None, folder: Path) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A text in TOML. Raises InputError for one that is not in UTF-8."""
+    """A text in TOML. Raises InputError for one that is not printable."""
     if not text.isprintable():
         raise InputError(f"{text!r}: must be printable, to stand in a run file")
     return json.dumps(text, ensure_ascii=False)

@@ -9,7 +9,8 @@ import numpy as np
 from eqsim.errors import InputError, meant
 from eqsim.fitting.section import Fit
 from eqsim.io import csv
-from eqsim.io.runfile import RunFile, keys
+from eqsim.io.parameters import keys
+from eqsim.io.runfile import RunFile
 from eqsim.numerics.tables import Array
 
 # Observables that data may hold.

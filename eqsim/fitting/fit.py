@@ -26,7 +26,8 @@ from eqsim.fitting.model import (
 from eqsim.fitting.record import Correlation, RecordForward
 from eqsim.fitting.section import Fit, Parameter, parameters_of, section_of
 from eqsim.io import storage
-from eqsim.io.runfile import RunFile, at, contents_of, opened, path_of
+from eqsim.io.content import path_of
+from eqsim.io.runfile import RunFile, at, contents_of, opened
 from eqsim.laws.barrier import BARRIERS
 from eqsim.numerics.tables import Array
 from eqsim.numerics.threads import ThreadPool

@@ -20,7 +20,8 @@ from eqsim.errors import InputError
 from eqsim.estimate import known
 from eqsim.fitting.data import MeasuredAt
 from eqsim.fitting.section import Parameter
-from eqsim.io.runfile import RunFile, at, keys
+from eqsim.io.parameters import keys
+from eqsim.io.runfile import RunFile, at
 from eqsim.master.peak import first_peak
 from eqsim.master.steady import curve
 from eqsim.master.transient import transient

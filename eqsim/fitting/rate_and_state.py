@@ -56,8 +56,7 @@ _SOLVER_ERROR = 1e-8
 @dataclass(frozen=True)
 class RateAndStateForward(RecordForward):
     """Rate-and-state friction at the times of a record, but for mu_0. The stiffness of
-    the machine, if given, is not free. Nothing depends on steps that a solver chooses.
-    """
+    the machine, if given, is not free. Nothing depends on steps of a solver."""
 
     law: StateLaw = "slip"
 

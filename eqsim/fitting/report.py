@@ -18,7 +18,8 @@ from eqsim.fitting.model import velocity_of
 from eqsim.fitting.posterior import Posterior
 from eqsim.fitting.profiles import UNSURE, WIDE
 from eqsim.io import storage
-from eqsim.io.runfile import at, copied
+from eqsim.io.content import copied
+from eqsim.io.runfile import at
 from eqsim.plots.style import saved
 
 DATA_COLUMNS = ("", "points", "from", "to")

@@ -16,7 +16,8 @@ from eqsim.errors import (
     require_number,
     shown,
 )
-from eqsim.io.runfile import RunFile, keys, parameters, population_alone
+from eqsim.io.parameters import keys, parameters
+from eqsim.io.runfile import RunFile, population_alone
 from eqsim.laws.named import threshold_parameters
 from eqsim.sweeps.plan import entries
 

@@ -17,7 +17,8 @@ from scipy import linalg
 
 from eqsim import catalogue
 from eqsim.fitting.section import Parameter
-from eqsim.io.runfile import RunFile, parameters
+from eqsim.io.parameters import parameters
+from eqsim.io.runfile import RunFile
 from eqsim.laws.aging import RULES
 from eqsim.laws.barrier import BARRIERS
 

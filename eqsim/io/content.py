@@ -72,7 +72,7 @@ def plain(value: Any) -> Any:
 
 
 def _below(place: Any, name: str) -> Any:
-    """What stands in a section or a list under a name or a number, if anything does."""
+    """The content of a section or a list under a name or a number; None without any."""
     if isinstance(place, dict):
         return place.get(name)
     inside = isinstance(place, list) and name.isdecimal() and int(name) < len(place)

@@ -27,16 +27,17 @@ from eqsim.errors import (
 from eqsim.estimate import Averages, Estimate
 from eqsim.io import csv, schema
 from eqsim.io.content import (
-    copied as copied,
+    copied,
+    path_of,
+    plain,
+    put,
+    read_toml,
+    with_blocks,
+    without_alternatives,
 )
-from eqsim.io.content import (
-    path_of as path_of,
-)
-from eqsim.io.content import plain, put, read_toml, with_blocks, without_alternatives
 from eqsim.io.course import PULLS, programme_of, recorded_drive
 from eqsim.io.labels import described
-from eqsim.io.parameters import keys as keys
-from eqsim.io.parameters import parameters as parameters
+from eqsim.io.parameters import keys
 from eqsim.io.tables import read_thresholds
 from eqsim.io.units import (
     Interface,

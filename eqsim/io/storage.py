@@ -152,9 +152,9 @@ def from_parquet(content: bytes) -> Any:
 
 
 def left_over(folder: Path, command: str, written: dict[str, bytes]) -> list[str]:
-    """Names of what an earlier call of the same command has left in a folder and what
-    was not `written` again: tables, and pictures and exports of the same names in other
-    formats."""
+    """Names of files in a folder that were not `written` again: tables that an earlier
+    call of the same command has left there, and pictures and exports of the same names
+    in other formats."""
     from pyarrow import ArrowException
     from pyarrow import parquet as pq
 

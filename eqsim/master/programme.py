@@ -494,9 +494,18 @@ def numerics_of(contacts: Reduced, course: Course, reach: float) -> Numerics:
     return Numerics(contacts, course, typical, width, life, first, first <= short)
 
 
-def solve(contacts: Reduced, course: Course) -> tuple[Array, Array, list[History]]:
-    """Solve on three grids, each with twice the steps of the one before: times of kinks
-    and of the edges of the finest, and the means on all."""
+class Marches(NamedTuple):
+    """Times of kinks and of the edges of the finest of three grids, each with twice the
+    steps of the one before; the means on all; and the resolution."""
+
+    kinks: Array
+    edges: Array
+    means: list[History]
+    numerics: Numerics
+
+
+def solve(contacts: Reduced, course: Course) -> Marches:
+    """Solve on three grids."""
     corners = np.append(0.0, course.ends)
     X = course.at(corners)
     numerics = numerics_of(contacts, course, float(np.ptp(X)) or math.inf)
@@ -534,7 +543,7 @@ def solve(contacts: Reduced, course: Course) -> tuple[Array, Array, list[History
     # the finest takes as long as twice the others, or more
     with ThreadPool(2) as threads:
         finest, middle, coarse = threads.map(on_grid, (4, 2, 1))
-    return kinks, edges_of(4), [coarse, middle, finest]
+    return Marches(kinks, edges_of(4), [coarse, middle, finest], numerics)
 
 
 @dataclass(frozen=True, repr=False)
@@ -621,14 +630,14 @@ def means_along(ensemble: Ensemble, programme: Programme, grid: Grid) -> Transie
     take too many steps."""
     contacts, course = course_of(ensemble, programme)
     unit, time = ensemble.thresholds.scale, grid.t[-1]
-    kinks, edges, solved = solve(contacts, course)
+    kinks, edges, solved, numerics = solve(contacts, course)
     t, finest = np.minimum(grid.t / time, 1.0), solved[-1]
     jumps = np.searchsorted(edges, kinks) if has_jumps(contacts.law) else None
     grids = [np.array(history[:3]) for history in solved]
     best, errors = _extrapolated_means(edges, grids, jumps)
     if course.before:
         known_there = [0]
-        if not numerics_of(contacts, course, math.inf).resolves_lives:
+        if not numerics.resolves_lives:
             known_there.append(_FIRST_STEP_OF_FINEST)
         missed = _missed_at_first(ensemble, programme, best[:, known_there])
         errors += missed[:, None]

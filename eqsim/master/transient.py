@@ -495,13 +495,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
         surviving = rest[2][2] - x * rest[1][2]
         carried = rest[1][1] - x * rest[0][1]
         if s.newborn.active:
-            inner = np.linspace(0.0, x[-1], _PARTS_OF_CELL * (x.size - 1) + 1)
-            force, pinned_later = (
-                total[power][1] - profile.integral(inner, power)[1] for power in (1, 0)
-            )
-            parts = force - inner * pinned_later
-            parts = (0.5 * (parts[:-1] + parts[1:])).reshape(-1, _PARTS_OF_CELL)
-            within = parts.mean(axis=1)
+            within = _means_in_parts(total, profile, x)
         else:  # in closed form
             further = 0.5 * (rest[2][1] - 2.0 * x * rest[1][1] + x**2 * rest[0][1])
             within = (further[:-1] - further[1:]) / x[1]
@@ -526,6 +520,18 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     lag = np.linspace(0.0, distance, points)
     values, errors = _interpolated(lag / unit, cells.x[::2], best, error)
     return Fluctuations(lag, values * unit**2, errors * unit**2)
+
+
+def _means_in_parts(total: Array, profile: Profile, x: Array) -> Array:
+    """Means over cells of int_x^inf (z - x) k1 dx, z the stretch of contacts born
+    stretched, from trapezia over the parts of each; `total` are the whole integrals."""
+    inner = np.linspace(0.0, x[-1], _PARTS_OF_CELL * (x.size - 1) + 1)
+    pinned, force = (
+        total[power][1] - profile.integral(inner, power)[1] for power in (0, 1)
+    )
+    carried = force - inner * pinned
+    parts = 0.5 * (carried[:-1] + carried[1:])
+    return np.asarray(parts.reshape(-1, _PARTS_OF_CELL).mean(axis=1))
 
 
 def _reborn(

@@ -144,7 +144,7 @@ def test_differences_from_what_is_expected(estimate, expected, said):
 
 
 def test_rounded_counts_and_times():
-    """What rounds to a thousand has the next letter, what rounds to a second is one."""
+    """Counts that round to a thousand have the next letter, and 1e3 ms are a second."""
     printed = {999: "999", 999.6: "1 k", 999_400: "999 k", 999_999: "1 M", 0: "0"}
     assert {number: terminal.count(number) for number in printed} == printed
     printed = {0.9994: "999 ms", 0.9996: "1.0 s", 9.94: "9.9 s", 9.96: "10 s"}
@@ -424,7 +424,7 @@ def test_a_new_run_file_of_measured_thresholds(text, law, tmp_path):
     ],
 )
 def test_bad_new_run_files(given, said, tmp_path, monkeypatch):
-    """What cannot be used is refused before a file is there."""
+    """Options that cannot be used are refused before a file is there."""
     monkeypatch.chdir(tmp_path)
     Path("negative.csv").write_text("stretch (um)\n-1\n2\n")
     Path("bare.csv").write_text("1.0,2.0\n2.0,3.0\n")

@@ -25,7 +25,8 @@ from eqsim import (
     trajectory,
 )
 from eqsim.engine.breaks import MOST_BREAKS
-from eqsim.io.runfile import check, keys
+from eqsim.io.parameters import keys
+from eqsim.io.runfile import check
 from eqsim.workflows.fluctuations import run_fluctuations
 
 DRIVE = Drive(0.1, 12.0)

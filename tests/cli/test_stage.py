@@ -140,7 +140,8 @@ def test_run_and_replay(path, tmp_path):
 
 
 def test_drops_are_shown_as_a_coefficient_where_it_is_known(path, tmp_path):
-    """As forces of segments are: N k over the load, 500/250 times that of summary.json."""
+    """Drops are N k over the load, 500/250 times those of summary.json, as forces of
+    segments are."""
     path.write_text(f"{FILE}[interface]\nnormal_load = 250.0\n")
     done = call("run", path, "--out", tmp_path / "out", "--no-exact")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())

@@ -38,7 +38,8 @@ from eqsim.fitting.fit import compared, fit, goodness, prepare
 from eqsim.fitting.model import Problem
 from eqsim.fitting.pictures import band
 from eqsim.fitting.section import NormalPrior, Parameter, parameters_of, section_of
-from eqsim.io.runfile import at, check, load, parameters
+from eqsim.io.parameters import parameters
+from eqsim.io.runfile import at, check, load
 from eqsim.master.steady import curve
 
 VELOCITIES = np.geomspace(1e-3, 10.0, 12)
@@ -1013,9 +1014,9 @@ def test_chi_square_at_the_ends_of_intervals(loss):
 
 @pytest.mark.parametrize("unit", [1.0, 1e-9])
 def test_bands_in_any_unit(unit):
-    """Of forces in units of their size or in nanonewtons, with an offset: the standard
+    """Forces in units of their size or in nanonewtons, with an offset: the standard
     deviation of the curve is that of the covariance, to the error of one-sided
-    derivatives, 1e-4."""
+    derivatives, some steps of 1e-4."""
     x, offset = np.linspace(0.0, 1.0, 9), np.full(9, 0.1)
     free = [Parameter(KEYS[0], "log", -5.0, 5.0, 0.0)]
     free += [Parameter(KEYS[1], "log", -1.0, 1.0, 0.0, NormalPrior(0.0, 0.1))]
@@ -1032,4 +1033,4 @@ def test_bands_in_any_unit(unit):
     jacobian = problem.jacobian(best.u)
     rows = problem.sigma[:, None] * jacobian[: x.size]
     right = np.sqrt(np.diag(rows @ covariance(jacobian) @ rows.T))
-    np.testing.assert_allclose(sd, right, rtol=1e-3)
+    np.testing.assert_allclose(sd, right, rtol=3e-4)

@@ -21,7 +21,8 @@ from eqsim import (
     reference,
 )
 from eqsim.io.labels import axis, described
-from eqsim.io.runfile import check, keys, stored
+from eqsim.io.parameters import keys
+from eqsim.io.runfile import check, stored
 from eqsim.io.units import Units
 from eqsim.sweeps.plan import Plan
 

@@ -25,7 +25,8 @@ from eqsim import (
 )
 from eqsim.errors import require_integer, require_number
 from eqsim.io import schema
-from eqsim.io.runfile import at, check, keys, parameters, stored
+from eqsim.io.parameters import keys, parameters
+from eqsim.io.runfile import at, check, stored
 from eqsim.io.storage import provenance
 from eqsim.io.tables import read_thresholds
 from eqsim.laws.named import THRESHOLDS, threshold_parameters

@@ -13,7 +13,8 @@ from eqsim import Ensemble, Estimate, catalogue, load
 from eqsim.catalogue import Dimension
 from eqsim.errors import InputError
 from eqsim.fitting.report import to_toml
-from eqsim.io.runfile import at, parameters
+from eqsim.io.parameters import parameters
+from eqsim.io.runfile import at
 from eqsim.io.surface import doubts, machine_stiffness
 from eqsim.io.units import Interface, Units, quantities
 

@@ -39,7 +39,7 @@ from eqsim import (
     trajectory,
     transient,
 )
-from eqsim.io import runfile
+from eqsim.io import parameters, runfile
 from eqsim.laws.aging import Flow, Logarithmic, Unaged, along, base
 from eqsim.laws.delay import Fixed
 from eqsim.laws.stiffness import Springs
@@ -155,13 +155,17 @@ def test_run_file(tmp_path):
     assert file.ensemble.aging == aging()
     changed = runfile.at(file, {"aging.beta": 0.1, "aging.cutoff_time": 2.0})
     assert changed.ensemble.aging == aging(0.1, 2.0)
-    known = runfile.parameters(changed)
+    known = parameters.parameters(changed)
     assert (
         known["aging.beta"],
         known["aging.cutoff_time"],
         known["aging.x_star_final"],
     ) == (0.1, 2.0, None)
-    assert runfile.keys()["aging.beta"] is runfile.keys()["aging.cutoff_time"] is float
+    assert (
+        parameters.keys()["aging.beta"]
+        is parameters.keys()["aging.cutoff_time"]
+        is float
+    )
     assert not runfile.at(file, {"aging.rule": "none"}).ensemble.aging.active
 
 

@@ -34,7 +34,8 @@ from eqsim import (
     transient,
     z_score,
 )
-from eqsim.io.runfile import check, load, parameters
+from eqsim.io.parameters import parameters
+from eqsim.io.runfile import check, load
 from eqsim.laws import threshold
 from eqsim.laws.named import NAMED, THRESHOLDS, threshold_parameters
 from eqsim.laws.threshold import for_kernels

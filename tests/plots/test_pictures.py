@@ -16,7 +16,7 @@ from eqsim import load
 from eqsim.cli.app import app
 from eqsim.estimate import OBSERVABLES
 from eqsim.io import labels
-from eqsim.io.runfile import keys
+from eqsim.io.parameters import keys
 from eqsim.io.units import Units
 from eqsim.plots import style
 from eqsim.plots.style import saved

@@ -26,7 +26,7 @@ from rows import BASIC
 
 from eqsim import InputError, load, reference, steady
 from eqsim.engine.trajectory import check_run
-from eqsim.io.runfile import keys
+from eqsim.io.parameters import keys
 from eqsim.io.tables import read_thresholds
 from eqsim.model.groups import groups
 from eqsim.sweeps.plan import Plan

@@ -29,7 +29,8 @@ from eqsim import (
     trajectory,
 )
 from eqsim.estimate import Estimate, z_score
-from eqsim.io.runfile import check, parameters
+from eqsim.io.parameters import parameters
+from eqsim.io.runfile import check
 from eqsim.io.storage import to_json
 from eqsim.materials import MATERIALS, run_file_text
 
