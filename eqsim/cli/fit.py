@@ -109,6 +109,8 @@ def fit(
         rivals = _both_laws(file, options.data)
     elif options.compare is not None:
         other = runfile.load(options.compare)
+        ours = fitting.prepare(file, options.data, options.allow_degenerate)
+        fitting.rival_of(ours.fit, ours.table, other, options.starts)  # its own errors
     keep = fitting.Keep(out, partial(_tell_estimates, out, shown))
     with shown.bar("fitting", "fits") as progress:
         how: dict[str, Any] = {"allow_degenerate": options.allow_degenerate}

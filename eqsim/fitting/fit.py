@@ -27,6 +27,7 @@ from eqsim.fitting.record import Correlation, RecordForward
 from eqsim.fitting.section import Fit, Parameter, parameters_of, section_of
 from eqsim.io import storage
 from eqsim.io.content import path_of
+from eqsim.io.parameters import keys
 from eqsim.io.runfile import RunFile, at, contents_of, opened
 from eqsim.laws.barrier import BARRIERS
 from eqsim.numerics.tables import Array
@@ -362,19 +363,23 @@ def measured(
 def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
     """The fit of a table or a record. Raises InputError."""
     (scales, fixed), free = section.scales(table.sets), parameters_of(file, section)
+    kT = [key for key in keys(file) if key.endswith("thermal.kT")]
+    varied = {*section.free, *table.names}
+    if section.temperature and not any(file[key] or key in varied for key in kT):
+        raise InputError("fit.temperature: has no effect with thermal.kT = 0")
     rows, value = table.conditions, table.value
     names, nuisance = np.array(table.observable), dict[str, Array]()
-    spread, keys = names == "force_std", [one.key for one in free]
+    spread = names == "force_std"
     force = spread | (names == "friction")
     forward: Forward = SteadyForward(file, rows, table.observable)
     if section.record is not None and table.time is not None:
         stiffness = section.record.machine_stiffness
-        if stiffness is not None and "drive.stage.stiffness" in keys:
+        if stiffness is not None and "drive.stage.stiffness" in section.free:
             both = "not allowed with fit.record.machine_stiffness"
             raise InputError(f"fit.free.drive.stage.stiffness: {both}")
         forward = RecordForward(file, table.time, stiffness, fixed)
         for key, shape in record.shapes(file, section, table.time).items():
-            if key in keys:
+            if key in section.free:
                 nuisance[key] = shape
             else:
                 value = value - section.nuisance(key) * shape
@@ -650,25 +655,36 @@ def goodness(problem: Problem, u: Array) -> Goodness:
     return Goodness(chi2, dof, p, deviance, aicc, deviance + k * math.log(n))
 
 
-def compared(result: FitResult, other: RunFile, starts: int) -> Goodness:
-    """Agreement of another model with the same measurements and errors. Raises
+def rival_of(
+    section: Fit, table: Measurements, other: RunFile, starts: int
+) -> tuple[Problem, list[Array]]:
+    """The fit of another model to the measurements of a section, and its starts. Raises
     InputError."""
-    section = section_of(other)
-    if (section.record is None) != (result.table.time is None):
+    theirs = section_of(other)
+    if (theirs.record is None) != (table.time is None):
         raise InputError("--compare: one run file fits a table and the other a record")
-    table, unit = result.table, section.reference_temperature or 1.0
-    if section.temperature != result.fit.temperature:
+    if theirs.temperature != section.temperature:
         raise InputError(
             "--compare: fit.temperature must be the same in both run files"
         )
     for name in table.names:
-        if name in section.free:
+        if name in theirs.free:
             raise InputError(f"fit.free.{name}: is a column of the data, so not free")
+    unit = theirs.reference_temperature or 1.0
     rows = [one._replace(heat=one.kelvin / unit) for one in table.conditions]
-    section = section.model_copy(update={"loss": result.fit.loss})
-    problem = problem_of(other, section, table._replace(conditions=rows))
-    problem = replace(problem, correlation=result.problem.correlation)
+    theirs = theirs.model_copy(update={"loss": section.loss})
+    if table.time is None:
+        _check_rows(other, table)
+    problem = problem_of(other, theirs, table._replace(conditions=rows))
     every = estimate.starts(problem, starts, other.output.seed)
     estimate.check_starts(problem, every)
+    return problem, every
+
+
+def compared(result: FitResult, other: RunFile, starts: int) -> Goodness:
+    """Agreement of another model with the same measurements and errors. Raises
+    InputError."""
+    problem, every = rival_of(result.fit, result.table, other, starts)
+    problem = replace(problem, correlation=result.problem.correlation)
     minima = [_search(problem)(problem, u) for u in every]
     return goodness(problem, min(minima, key=lambda one: one.chi2).u)

@@ -37,8 +37,8 @@ _LEAST_SIZE = 1e-3
 TOLERANCE = 1e-8
 # Degrees of freedom of the robust loss.
 STUDENT = 4.0
-# Residual where the reference refuses.
-REFUSED = 1e4
+# Residual where the reference refuses, above any of a prediction.
+REFUSED = 1e9
 # Contacts of which the shares of populations are not rounded.
 MANY = 10**12
 # Observables of `Curve`.

@@ -268,10 +268,10 @@ def _draw_profile(result: "FitResult", index: int, panel: Any) -> None:
         signed = np.sqrt(np.maximum(rise, 0.0)) * np.sign(u - result.best.u[index])
         smooth = PchipInterpolator(u, signed)(fine) ** 2
         panel.plot(parameter.value(fine), smooth, color="C0")
-    place = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
+    place = {"xycoords": ("axes fraction", "data"), "ha": "left", "va": "center"}
     for name, level in LEVELS.items():
         panel.axhline(level, color="0.5", linewidth=0.8, linestyle=":")
-        panel.annotate(f"{name} %", (1.0, level), fontsize=7, color="0.4", **place)
+        panel.annotate(f"{name} %", (1.01, level), fontsize=7, color="0.4", **place)
     panel.axvline(known.estimate, color="C3", linewidth=0.8)
     for side, bound in ((low, parameter.low), (high, parameter.high)):
         if side.ends["95"] is None:

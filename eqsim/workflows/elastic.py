@@ -126,11 +126,12 @@ class ElasticResult(SimulatedFile):
     def figures(self, title: str) -> dict[str, Any]:
         run = self.trajectory
         caption = panels.Caption.of(self.file, title, self.friction.value)
-        return {
-            "force": draw.elastic_figure(run, self.friction, caption),
-            "avalanches": draw.avalanches_figure(run, self.starts, self.sizes, caption),
-            "fronts": draw.fronts_figure(run, *self.elastic.shape, caption),
-        }
+        figures = {"force": draw.elastic_figure(run, self.friction, caption)}
+        if self.starts.any():
+            shown = self.starts, self.sizes, caption
+            figures["avalanches"] = draw.avalanches_figure(run, *shown)
+        fronts = draw.fronts_figure(run, *self.elastic.shape, caption)
+        return figures | {"fronts": fronts}
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
         yield "", "this run", "expected", "z"

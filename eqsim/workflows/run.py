@@ -463,15 +463,16 @@ class SliderResult(ProgrammeResult):
     def doubts(self) -> Iterator[str]:
         """Notes on slips, those that the record cuts, and errors of the force."""
         slips, lives = self.trajectory.slips, self.trajectory.lifetimes
+        counted = f"{len(slips)} slip" + "s" * (len(slips) != 1)
         if self.drive.forced:
             gone = np.sum(np.isfinite(lives))
             yield f"{gone} of {lives.size} replicas let go before the end"
         elif slips and len(self.drive.segments) > 1:
             run = self.trajectory
             mean = f"one every {run.period}, drop {run.drop}"
-            yield f"{len(slips)} slips" + f": {mean}" * (run.period.value is not None)
+            yield counted + f": {mean}" * (run.period.value is not None)
         else:
-            yield f"{len(slips)} slips" if slips else "no slip in this run"
+            yield counted if slips else "no slip in this run"
         for verb, whole in (("begins", "begun"), ("ends", "ended")):
             cut = [str(i) for i, slip in enumerate(slips) if not getattr(slip, whole)]
             if cut:

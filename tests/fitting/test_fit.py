@@ -443,6 +443,25 @@ def test_compared_at_the_same_temperatures(folder):
         compared(first, other(**{"delay.time": {"bounds": [1e-3, 1.0]}}), 1)
     with pytest.raises(InputError, match=r"fit\.temperature must be the same"):
         compared(first, load(folder / "run.toml"), 1)
+    with pytest.raises(
+        InputError, match=r"temperature: has no effect with thermal\.kT"
+    ):
+        prepare(other(kT=0.0), None, True)
+    content["drive"] = {"programme": [{"velocity": 1.0, "distance": 1.0}]}
+    with pytest.raises(InputError, match=r"drive\.programme: not allowed"):
+        compared(first, other(), 1)
+
+
+def test_another_model_is_refused_before_the_fit(folder):
+    """A model to compare with that cannot be fitted to these data is refused at once:
+    nothing is written."""
+    (folder / "other.toml").write_text(RUN.replace("[fit]", "[neither]"))
+    for wrong in ("other.toml", "missing.toml"):
+        result = call(
+            "fit", folder / "run.toml", "--out", folder / "out", "--compare", folder / wrong
+        )  # fmt: skip
+        assert result.exit_code == 2
+        assert not (folder / "out").exists()
 
 
 @pytest.mark.verification
