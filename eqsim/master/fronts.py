@@ -169,7 +169,8 @@ def _add_hazard(contacts: Fronts, cohort: Cohort, z: Array, step: PathStep) -> N
             a0 = barrier.b * kappa(springs, xi * g0)
             a1 = barrier.b * kappa(springs, xi * g1)
         low, high = height(barrier, xi * g0, x0, a0), height(barrier, xi * g1, x1, a1)
-        if min(low, high) > limit:  # stronger contacts are safer
+        # safe, as are the stronger ones; no bond comes to this limit
+        if min(low, high) > limit:
             break
         middle = height(barrier, xi * gm, xm, 0.5 * (a0 + a1))
         # until x passes the threshold, if it does
@@ -219,7 +220,7 @@ def _find_pinned_by_strata(
     """Find the pinned share and the stiffness of a cohort, with ln z at its older and
     newer edge; `g` is the growth of thresholds."""
     strata, pinned, stiffness, stiffness2 = contacts.strata, 0.0, 0.0, 0.0
-    apart = contacts.nodes.size - strata.left.size
+    apart, top = contacts.nodes.size - strata.left.size, contacts.nodes.size - 1
     low = min(cohort.weakest_first, cohort.weakest_last)
     high = max(cohort.weakest_first, cohort.weakest_last)
     for k in range(strata.left.size):
@@ -227,16 +228,16 @@ def _find_pinned_by_strata(
             continue
         weak0, strong0 = older[k], older[k + apart]
         weak1, strong1 = newer[k], newer[k + apart]
-        # stronger contacts are safer
-        if min(strong0, strong1) > _ALL_BROKEN:
+        if min(weak0, weak1, strong0, strong1) > _ALL_BROKEN:
             continue
         intact = 1.0
-        if max(weak0, weak1) > _NONE_BROKEN:
+        if max(weak0, weak1, strong0, strong1) > _NONE_BROKEN:
             middle = 0.25 * (weak0 + strong0 + weak1 + strong1)
             by_threshold = 0.5 * (strong0 + strong1 - weak0 - weak1)
             by_birth = 0.5 * (weak1 + strong1 - weak0 - strong0)
             intact = 1.0 - _broken(contacts.table, middle, by_threshold, by_birth)
-        elif strata.left[k] >= high:  # none of the stronger either
+        # then none of the stronger either: the strongest may be stiffer bonds
+        elif strata.left[k] >= high and max(older[top], newer[top]) < _NONE_BROKEN:
             pinned += strata.above[0, k]
             stiffness += strata.above[1, k]
             stiffness2 += strata.above[2, k]
@@ -270,7 +271,7 @@ def _across(weak: float, strong: float, fall: float, apart: float) -> float:
     """Mean of m = int_0^1 u^p exp(-z u) du, given at the ends of a stratum across which
     ln z is spread evenly: the integral of m over ln z is -(E_1(z) + m)/(p + 1)
     (derived). `fall` is that of E_1, and ln z differs by `apart` times p + 1."""
-    if apart < _LEAST_DIFFERENCE:
+    if abs(apart) < _LEAST_DIFFERENCE:
         return 0.5 * (weak + strong)
     return (strong - weak + fall) / apart
 

@@ -12,6 +12,7 @@ passes fixed levels.
 import numpy as np
 
 from eqsim.laws.aging import Langevin
+from eqsim.laws.barrier.bell import ByForce
 from eqsim.laws.newborn import BirthLaw, DeltaBirths, ExponentialBirths, NormalBirths
 from eqsim.laws.threshold import rank_above
 from eqsim.master import flow
@@ -41,10 +42,11 @@ _PASSED = np.array([-24.0, -12.0, -7.0, -4.0, -2.0, -1.0, 0.0, 0.75, 1.5, 2.25, 
                     4.0])  # fmt: skip
 _PASSED_RANGE = _PASSED[0] - 10.0, _PASSED[-1] + 10.0
 # ln(xi/least - 1) from where these are sought, on a grid of so many points, and how
-# often it is refined.
+# often it is refined: where the hazard falls with xi, and where it rises.
 _SHALLOWEST = -44.0
 _GRID_POINTS = 32
 _REFINED = 1
+_REFINED_RISING = 3
 # Pairs of birth and travel that are followed at once, to bound memory, and those of
 # them and a threshold of a discrete law.
 _PAIRS_AT_ONCE = 1000
@@ -133,6 +135,10 @@ def _over_thresholds(
         if barrier.thermal and not contacts.annealed:
             at = birth[:, None], travel[:, None], least
             layer = _thresholds_at_levels(contacts, *at)
+            if isinstance(barrier, ByForce) and contacts.stiffness == "sqrt":
+                slips = contacts._replace(barrier=barrier.opened_alone)
+                rising = _thresholds_at_levels(slips, *at, falls=False)
+                layer = np.concatenate((layer, rising), axis=1)
         rarest = rarest_that_counts(barrier) + _HEAVY_TAIL * contacts.newborn.active
         edges = thresholds_above(law, least, layer, rarest)
         row, column = np.nonzero(np.diff(edges, axis=1) > 0)
@@ -160,17 +166,17 @@ def _over_thresholds(
 
 
 def _thresholds_at_levels(
-    contacts: Reduced, birth: Array, travel: Array, least: Array
+    contacts: Reduced, birth: Array, travel: Array, least: Array, *, falls: bool = True
 ) -> Array:
-    """Thresholds above `least`, (n,), about where the logarithm of the hazard passed,
-    which falls with xi, passes each level, shape (n, levels): only panels depend on it.
-    """
+    """Thresholds above `least`, (n,), about where the logarithm of the hazard passed
+    passes each level, shape (n, levels): from the weakest on, where it falls with xi,
+    or from the strongest on, where it rises. Only panels depend on it."""
     least = np.maximum(least, contacts.law.support[0] / contacts.law.scale)[:, None]
     most = np.log1p(greatest_of(contacts.law) / least)
     share = np.linspace(0.0, 1.0, _GRID_POINTS)
     depth = _SHALLOWEST + share * (most - _SHALLOWEST)
     known, value = np.empty((least.size, 0)), np.empty((least.size, 0))
-    for _ in range(_REFINED + 1):
+    for _ in range((_REFINED if falls else _REFINED_RISING) + 1):
         xi = least * (1.0 + np.exp(depth))
         y = birth * (xi if contacts.newborn.of == "threshold" else np.ones_like(xi))
         passed = hazard_passed(contacts, y, travel + 0.0 * xi, xi)
@@ -178,7 +184,7 @@ def _thresholds_at_levels(
         # far from the levels it is steep, and known to be so is enough
         near = np.clip(np.log(np.maximum(passed, 1e-300)), *_PASSED_RANGE)
         value = np.append(value, near, axis=1)
-        order = np.argsort(known, axis=1)
+        order = np.argsort(known if falls else -known, axis=1)
         known, value = (np.take_along_axis(at, order, 1) for at in (known, value))
         # where attempts hardly need energy it may rise, but nothing is steep
         value = np.minimum.accumulate(value, axis=1)

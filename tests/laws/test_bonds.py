@@ -522,6 +522,79 @@ def test_hazards_of_bonds_that_age_as_the_logarithm_of_time(off_rate):
     np.testing.assert_allclose(passed, exact, rtol=2e-9, atol=1e-12)
 
 
+SHARED = {
+    "once": (Pathway(0.0, 1.0), Pathway(1e-18, 0.015)),
+    "before": (Pathway(100.0, 0.01), Pathway(1e-12, 0.02)),
+    "long before": (Pathway(20.0, 0.05), Pathway(1e-20, 0.01)),
+}
+
+
+def bonds_of(paths):
+    catch, slip = paths
+    if catch.rate:
+        return Thermal(barrier="catch-slip", catch=catch, slip=slip)
+    return Thermal(barrier="bell", off_rate=slip.rate, force_scale=slip.force)
+
+
+def pulled_together(law, paths, X):
+    """Mean force of contacts of the sqrt law that were born at X = 0 and do not form
+    again, v = 1, by panels that end every 1e-3 of the law's scale."""
+    node, weight = np.polynomial.legendre.leggauss(8)
+    edges = np.linspace(0.0, 7.0, 7001)
+    xi = np.add.outer(edges[:-1], 0.5e-3 * (1.0 + node)).ravel()
+    weight = np.tile(0.5e-3 * weight, 7000) * law.pdf(xi)
+    k, (catch, slip) = xi / law.rms, paths
+    spent = catch.rate * catch.force / k * -np.expm1(-k * X[:, None] / catch.force)
+    with np.errstate(over="ignore"):
+        spent += slip.rate * slip.force / k * np.expm1(k * X[:, None] / slip.force)
+    return (weight * k * (xi > X[:, None]) * np.exp(-spent)).sum(axis=1) * X
+
+
+@pytest.mark.parametrize("name", SHARED)
+def test_stiff_bonds_break_before_weak_ones(name):
+    """Off-rates that rise by e in a hundredth of a stiff bond's force: under the sqrt
+    law the stiffest break first, at travels where no weak one has. Force from a fresh
+    start, within the quoted bound, at constant velocity and along a programme."""
+    law, paths = Gamma(1.0), SHARED[name]
+    bonds = Ensemble(law, bonds_of(paths), Delay(math.inf))
+    twice = Programme((Segment(1.0, distance=0.4), Segment(1.5, distance=0.6)))
+    # compiling for catch-slip bonds takes half a minute
+    for drive, end in ((Drive(1.0, 1.0), 1.0), (twice, 0.4))[: 1 + (name == "once")]:
+        found = transient(bonds, drive, 41)
+        here = np.less_equal(found.X, end)
+        exact = pulled_together(law, paths, found.X[here])
+        off = np.abs(found.force[here] - exact)
+        # 3e-6: the edge of xi > X within a panel of the sum
+        assert np.all(off <= found.force_error[here] + 3e-6)
+        assert found.force_error[here].max() < 2e-4
+
+
+@pytest.mark.parametrize(
+    ("catch", "slip"),
+    [
+        (Pathway(3000.0, 1e-3), Pathway(1e-12, 0.05)),
+        (Pathway(1000.0, 1e-3), Pathway(1e-10, 0.05)),
+    ],
+)
+def test_catch_bonds_that_rest_before_they_slip(catch, slip):
+    """The hazard rests at a fixed level over twenty forces of the slip pathway. Means
+    against fine panels in a float's digits, to the quoted 2e-11."""
+    heat = Thermal(barrier="catch-slip", catch=catch, slip=slip)
+    found = reference(bond(heat), Drive(1.0))
+    x, weight = np.polynomial.legendre.leggauss(20)
+    marks = (catch.force * 2.0 ** np.arange(-8.0, 7.0), slip.force * np.arange(240) / 4)
+    edges = np.unique(np.concatenate(([0.0], *marks)))
+    half = 0.5 * np.diff(edges)[:, None]
+    x = edges[:-1, None] + half * (1.0 + x)
+    spent = catch.rate * catch.force * -np.expm1(-x / catch.force)
+    spent += slip.rate * slip.force * np.expm1(x / slip.force)
+    alive = half * weight * np.exp(-spent)
+    stretch = alive.sum()
+    assert found.break_stretch.value == pytest.approx(stretch, rel=2e-11, abs=0)
+    force = (alive * x).sum() / stretch
+    assert found.friction.value == pytest.approx(force, rel=2e-11, abs=0)
+
+
 def test_transients_of_bonds_that_break_after_a_steep_rise_of_rates():
     """Mean forces of bonds that age as ln t and whose off-rate rises by 1e13 in a life:
     |z| < 4.5 at 13 points (false alarm 1e-4), and known to 1e-3 of the force."""

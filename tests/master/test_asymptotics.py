@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, optimize, special
 
-from eqsim import Drive, Ensemble, InputError, Thermal, reference
+from eqsim import Delta, Drive, Ensemble, InputError, Thermal, reference
 from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.barrier.pooled import pooled_rate
 from eqsim.laws.threshold import Gamma
@@ -360,3 +360,31 @@ def test_aging_limits_and_refusals():
             PublishedAging(
                 **{"rate": 0.1, "x_star_initial": 0.1, "x_star_final": 1.0, **wrong}
             )
+
+
+HAZARDS = {
+    "soft": lambda gap, a: (
+        np.exp(-a * gap * (2.0 - gap))
+        * special.dawsn(math.sqrt(a) * (1.0 - gap))
+        / math.sqrt(a)
+    ),
+    "stiff": lambda gap, a: 2.0 / (3.0 * a) * np.exp(-a * gap**1.5),
+    "cusp": lambda gap, a: 0.5 / a * np.exp(-a * gap**2),
+}
+
+
+@pytest.mark.parametrize("barrier", HAZARDS)
+@pytest.mark.parametrize(("b", "log_w"), [(2.7e8, 36.0), (5e6, 23.0), (1e3, 12.0)])
+def test_barriers_of_solids(barrier, b, log_w):
+    """Equal contacts whose heat acts within 1e-5 of their threshold: <x_b> = 1 - int (1
+    - S) d(gap) in ln(gap), a trapezoidal rule that converges exponentially; to the
+    quoted 2e-11, and to 1e-9 of how far they break before their threshold. What H
+    lacks at x = 0 is below exp(-900)."""
+    log_gap, step = np.linspace(-60.0, 0.0, 100_001, retstep=True)
+    gap, w = np.exp(log_gap), math.exp(log_w)
+    missed = step * np.sum(gap * -np.expm1(-w * HAZARDS[barrier](gap, b)))
+    contacts = Ensemble(
+        Delta(1.0), Thermal(0.5 / b, w, barrier), stiffness_law="uniform"
+    )
+    found = reference(contacts, Drive(1.0)).break_stretch
+    assert found.value == pytest.approx(1.0 - missed, rel=0, abs=2e-11 + 1e-9 * missed)

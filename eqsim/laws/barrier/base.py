@@ -179,8 +179,9 @@ class Barrier(Law):
         return float(cls.width(1.0, x, a)) / x
 
     def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
-        """Approximate stretch at which ln((omega/v) H) reaches each of `levels`, shape
-        (n, levels), for n contacts."""
+        """Stretch at which ln((omega/v) H) reaches each of `levels`, shape (n, levels),
+        for n contacts: closer than the layer in which they break, which may be 1e-9 of
+        a threshold."""
         xi, a = xi[:, None], a[:, None]
         low = np.full((xi.size, levels.size), -700.0)
 
@@ -188,7 +189,7 @@ class Barrier(Law):
             reached = self.log_hazard(xi * np.exp(log_x), xi, a) + self.log_w
             return np.asarray(reached < levels)
 
-        return np.asarray(xi * np.exp(bisected(below, low, np.zeros_like(low), 20)[1]))
+        return np.asarray(xi * np.exp(bisected(below, low, np.zeros_like(low), 48)[1]))
 
     def ends_of_panels(self, levels: Array, xi: Array, a: Array) -> Array:
         """Stretches between which the hazard is smooth, shape (n, ends), for n contacts:

@@ -33,6 +33,11 @@ class ByForce(Barrier):
     def width(cls, exponent: Any, y: Any, a: Any) -> Array:
         return np.full(np.broadcast(exponent, y, a).shape, math.inf)
 
+    @property
+    def opened_alone(self) -> "ByForce":
+        """The bond without the pathway that force closes."""
+        return self
+
     @classmethod
     def declared(
         cls, thermal: Any, stiffness: float, unit: float, velocity: float
@@ -54,6 +59,12 @@ def log_mean(z: Any) -> Array:
     """ln((exp(z) - 1)/z) of z of any sign: the mean of exp over 0 to z."""
     size = np.maximum(np.abs(z), 1e-300)
     return np.asarray(np.log(-np.expm1(-size) / size) + np.maximum(z, 0.0))
+
+
+def opened(slope: Array, log_ticks: Array) -> Array:
+    """Stretch x at which the mean of exp(slope y) over 0 < y < x, times x, is
+    exp(log_ticks)."""
+    return np.asarray(np.logaddexp(0.0, np.log(slope) + log_ticks) / slope)
 
 
 @routine(inline=True)
@@ -81,6 +92,9 @@ class Bell(Numbers, ByForce):
     def log_hazard(cls, x: Any, xi: Any, a: Any) -> Array:
         with np.errstate(divide="ignore"):  # x = 0
             return np.log(x) + np.minimum(log_mean(a * x), MOST) + 0.0 * xi
+
+    def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
+        return opened(a[:, None], levels - self.log_w)
 
 
 @base.averaged.register(Bell)

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from eqsim.laws.barrier import base
-from eqsim.laws.barrier.bell import MOST, ByForce, fallen, log_mean
+from eqsim.laws.barrier.bell import MOST, ByForce, fallen, log_mean, opened
 from eqsim.numerics.compiled import routine
 from eqsim.numerics.tables import Array
 
@@ -39,6 +39,10 @@ class CatchSlip(_Numbers, ByForce):
     __slots__ = ()
     keys: ClassVar[tuple[str, ...]] = ("catch", "slip")
     b_words: ClassVar[str] = "k x_*/min(catch.force, slip.force)"
+
+    @property
+    def opened_alone(self) -> "CatchSlip":
+        return self._replace(log_catch=-math.inf)
 
     @classmethod
     def numbers(cls, thermal: Any, stiffness: float, unit: float) -> tuple[float, ...]:
@@ -68,6 +72,12 @@ class CatchSlip(_Numbers, ByForce):
         with np.errstate(divide="ignore"):  # no catch
             scale = 1.0 / (self.catch * a)
         return np.minimum(scale[:, None] * _FALLING, xi[:, None])
+
+    def ends_of_panels(self, levels: Array, xi: Array, a: Array) -> Array:
+        # once the catch pathway is spent the hazard may rest below a level
+        alone = levels - self.log_w - max(self.log_slip, -MOST)
+        slip = opened(self.slip * a[:, None], alone)
+        return np.concatenate((slip, super().ends_of_panels(levels, xi, a)), 1)
 
 
 @base.height.register(CatchSlip)

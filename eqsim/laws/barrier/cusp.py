@@ -46,6 +46,12 @@ class Cusp(Numbers, Barrier):
     def width(cls, exponent: Any, y: Any, a: Any) -> Array:
         return np.asarray(np.sqrt(exponent / a) + 0.0 * y)
 
+    def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
+        c = (a * xi**2)[:, None]
+        log_odds = c + np.log(2.0 * (a * xi))[:, None] + levels - self.log_w
+        spent = np.minimum(np.logaddexp(0.0, log_odds) / c, 1.0)  # 1 - (1 - x/xi)^2
+        return np.asarray(xi[:, None] * spent / (1.0 + np.sqrt(1.0 - spent)))
+
 
 @routine(inline=True)
 def _way(gap: float, barrier: float, log_w: float, odds: float) -> float:
