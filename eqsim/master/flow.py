@@ -152,6 +152,9 @@ def path_moments(contacts: Reduced, xi0: Array) -> tuple[Array, Array]:
     coefficients of the hazard, times the life that is left, and of the integrands are
     negligible."""
     n, end = xi0.size, ends(contacts, xi0)
+    stiffest = np.maximum(*(kappa_along(contacts, xi0, xi) for xi in (xi0, end)))
+    # no life is longer than without heat
+    most = np.array([end, 0.5 * stiffest * end**2])
 
     def evaluate(left: Array, right: Array, path: Array) -> Array:
         return _integrals(contacts, xi0[path], end[path], left, right)
@@ -173,7 +176,8 @@ def path_moments(contacts: Reduced, xi0: Array) -> tuple[Array, Array]:
         rough &= panels.right - panels.left > 1e-14 * panels.right
         rough |= (of.blind > 0) & (alive > _DEAD)
         missed = np.array([np.bincount(path, error, n) for error in errors])
-        return rough & (panels.right > _SHORTEST_STRETCH), (moments, missed)
+        rough &= panels.right > _SHORTEST_STRETCH
+        return rough, (moments, np.minimum(missed, most))
 
     _, (moments, missed) = refined(
         evaluate,

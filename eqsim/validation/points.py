@@ -10,7 +10,9 @@ infinite densities at both ends; histograms with gaps; and narrow laws (standard
 deviation over mean 1e-3 to 0.02); some bonds have none. A third of the quenched ones among these grow as the
 logarithm of their age, by 1e-3 to 3 per e-fold, from 1e-6 to 100 x_*/v on. Velocities
 are 1e-4 to 100 omega x_*, temperatures 0 or 0.01 to 3 k x_*^2 (of the mean threshold
-where there is no x_*), delays 0 or 1e-3 to 1e3 mean lives.
+where there is no x_*), delays 0 or 1e-3 to 1e3 mean lives. A quarter of the contacts
+that heat breaks are those of a laboratory, with e^9 to e^40 attempts in a slip of x_*,
+and barriers from there up to 1e9 kT.
 """
 
 import itertools
@@ -95,8 +97,8 @@ def sample(
     """Index, ensemble and velocity of the points of a seed, all over the parameter
     space; of all points or of a `part` of them."""
     first, step = part
-    rng, laws, aging, growing, newborn, waits = (
-        np.random.default_rng((seed, stream)) for stream in (1, 4, 3, 5, 6, 7)
+    rng, laws, aging, growing, newborn, waits, solids = (
+        np.random.default_rng((seed, stream)) for stream in (1, 4, 3, 5, 6, 7, 8)
     )
     ages = aging.permutation(count) < count // 3
     others = laws.permutation(np.flatnonzero(~ages)).tolist()
@@ -125,6 +127,9 @@ def sample(
             ensemble = replace(ensemble, aging=grows)
         elif newborn.random() < 1 / 4:
             ensemble = _stretched_at_birth(ensemble, newborn)
+        if ensemble.thermal.active and solids.random() < 1 / 4:
+            heat = _heat_of_solids(ensemble.thermal.barrier, v, unit, solids)
+            ensemble = replace(ensemble, thermal=heat)
         if index % 3 == 0 and _may_lack_thresholds(ensemble):
             ensemble = replace(ensemble, thresholds=NoThresholds(unit))
         if not _has_mean_rates(ensemble):
@@ -157,6 +162,26 @@ def _heat(barrier: str, kT: float, unit: float) -> Thermal:
         return Thermal(barrier=barrier, off_rate=rate, force_scale=force)
     catch, slip = Pathway(1.0, 0.3 * unit), Pathway(rate, force)
     return Thermal(barrier=barrier, catch=catch, slip=slip)
+
+
+def _heat_of_solids(
+    barrier: str, v: float, unit: float, rng: np.random.Generator
+) -> Thermal:
+    """Heat that breaks contacts at a small part of their attempts. Off-rates of bonds
+    come to about v/unit at a stretch between a half and twice of `unit`; a catch
+    pathway may break three, or next to none, before."""
+    log_attempts = rng.uniform(9.0, 40.0)
+    if not BARRIERS[barrier].by_force:
+        b = math.exp(rng.uniform(math.log(log_attempts), math.log(1e9)))
+        attempts = v * math.exp(log_attempts)
+        return Thermal(0.5 * unit**2 / b, attempts, barrier)
+    rate, force = v * math.exp(-log_attempts), unit / log_attempts
+    force *= rng.uniform(0.5, 2.0)
+    if barrier == "bell":
+        return Thermal(barrier=barrier, off_rate=rate, force_scale=force)
+    closing = 10 ** rng.uniform(-3.0, -1.0)
+    catch = Pathway(rng.uniform(0.0, 3.0) * v / closing, closing * unit)
+    return Thermal(barrier=barrier, catch=catch, slip=Pathway(rate, force))
 
 
 def _may_lack_thresholds(ensemble: Ensemble) -> bool:

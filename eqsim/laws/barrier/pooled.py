@@ -219,7 +219,8 @@ def _by_panels(
     root = edges[row, column, None] + half * (1.0 + rule.nodes)
     at = contact(y[row], root)
     terms = half * rule.weights * 2.0 * root * np.exp(barrier.log_attempt(*at))
-    terms *= law.pdf(at[2] * law.scale) * law.scale
+    with np.errstate(invalid="ignore"):
+        terms *= law.pdf(at[2] * law.scale) * law.scale
     terms[~np.isfinite(terms)] = 0.0  # the density may diverge at an end of the support
     return np.bincount(row, terms.sum(axis=1), y.size)
 
