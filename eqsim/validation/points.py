@@ -10,9 +10,9 @@ infinite densities at both ends; histograms with gaps; and narrow laws (standard
 deviation over mean 1e-3 to 0.02); some bonds have none. A third of the quenched ones among these grow as the
 logarithm of their age, by 1e-3 to 3 per e-fold, from 1e-6 to 100 x_*/v on. Velocities
 are 1e-4 to 100 omega x_*, temperatures 0 or 0.01 to 3 k x_*^2 (of the mean threshold
-where there is no x_*), delays 0 or 1e-3 to 1e3 mean lives. A quarter of the contacts
-that heat breaks are those of a laboratory, with e^9 to e^40 attempts in a slip of x_*,
-and barriers from there up to 1e9 kT.
+where there is no x_*), delays 0 or 1e-3 to 1e3 mean lives. Of larger suites a
+share of the contacts that heat breaks are those of a laboratory, with e^9 to e^40
+attempts in a slip of x_*, and barriers from there up to 1e9 kT.
 """
 
 import itertools
@@ -58,8 +58,9 @@ class Suite(NamedTuple):
     """Size of a suite: `points` parameter points, `wide` of which are also tested for
     fluctuations, with `sizes` (contacts, ensembles) in turn; at least so many `contacts`
     in a transient unless they take more than `lives` lives; and `replicas` of sliders on
-    a few contacts behind a spring, whose steps in holds have a `tolerance`. Or it is of
-    `chains` of blocks alone."""
+    a few contacts behind a spring, whose steps in holds have a `tolerance`; and the
+    share of `solids`, contacts of a laboratory. Or it is of `chains` of blocks alone.
+    """
 
     points: int
     wide: int
@@ -68,15 +69,17 @@ class Suite(NamedTuple):
     lives: float = 1e6
     replicas: int = 24
     tolerance: float = 1e-4
+    solids: float = 0.0
     chains: int = 0
 
 
 SUITES = {
     "quick": Suite(32, 6, replicas=12, tolerance=1e-3),
-    "full": Suite(240, 18, replicas=60),
+    "full": Suite(240, 18, replicas=60, solids=0.25),
     "interface": Suite(0, 0, chains=16),
     "verification": Suite(
-        1008, 91, ((20, 10_000), (100, 10_000), (1000, 10_000)), 10_000, 2e7, 200
+        *(1008, 91, ((20, 10_000), (100, 10_000), (1000, 10_000)), 10_000, 2e7, 200),
+        solids=0.25,
     ),
 }
 
@@ -92,12 +95,12 @@ WHOLE = Part()
 
 
 def sample(
-    count: int, seed: int, part: Part = WHOLE
+    count: int, seed: int, part: Part = WHOLE, solids: float = 0.0
 ) -> Iterator[tuple[int, Ensemble, float]]:
     """Index, ensemble and velocity of the points of a seed, all over the parameter
-    space; of all points or of a `part` of them."""
+    space, a share of them `solids`; of all points or of a `part` of them."""
     first, step = part
-    rng, laws, aging, growing, newborn, waits, solids = (
+    rng, laws, aging, growing, newborn, waits, high = (
         np.random.default_rng((seed, stream)) for stream in (1, 4, 3, 5, 6, 7, 8)
     )
     ages = aging.permutation(count) < count // 3
@@ -127,8 +130,8 @@ def sample(
             ensemble = replace(ensemble, aging=grows)
         elif newborn.random() < 1 / 4:
             ensemble = _stretched_at_birth(ensemble, newborn)
-        if ensemble.thermal.active and solids.random() < 1 / 4:
-            heat = _heat_of_solids(ensemble.thermal.barrier, v, unit, solids)
+        if ensemble.thermal.active and high.random() < solids:
+            heat = _heat_of_solids(ensemble.thermal.barrier, v, unit, high)
             ensemble = replace(ensemble, thermal=heat)
         if index % 3 == 0 and _may_lack_thresholds(ensemble):
             ensemble = replace(ensemble, thresholds=NoThresholds(unit))

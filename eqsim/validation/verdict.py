@@ -211,7 +211,8 @@ def validate(
     plan, (first, step), every = SUITES[suite], part, Found()
     linked = range(first, plan.chains, step)
     total = len(range(first, plan.points, step)) + len(linked)
-    for done, (index, ensemble, v) in enumerate(sample(plan.points, seed, part), 1):
+    drawn_at = sample(plan.points, seed, part, plan.solids)
+    for done, (index, ensemble, v) in enumerate(drawn_at, 1):
         shown = wrong(ensemble) if wrong else ensemble
         drawn = seed_named(seed, index)
         point = Point(index, ensemble, shown, v, drawn, seed, threads)
