@@ -371,7 +371,9 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
     names, nuisance = np.array(table.observable), dict[str, Array]()
     spread = names == "force_std"
     force = spread | (names == "friction")
-    forward: Forward = SteadyForward(file, rows, table.observable)
+    forward: Forward = SteadyForward(
+        file, rows, table.observable, free_scale=bool(scales)
+    )
     if section.record is not None and table.time is not None:
         stiffness = section.record.machine_stiffness
         if stiffness is not None and "drive.stage.stiffness" in section.free:
@@ -384,7 +386,6 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
             else:
                 value = value - section.nuisance(key) * shape
     parameters = [one for one in free if one.key not in nuisance]
-    k = "contacts.stiffness"
     first, scale_of = len(parameters), np.full(names.size, -1)
     unit = np.ones(names.size)
     if scales:
@@ -401,7 +402,6 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
         scale_of=scale_of,
         unit=unit,
         spread=spread,
-        stiffness=np.array([dict(row.changes).get(k, file[k]) for row in rows]),
         nuisance=nuisance,
         loss=section.loss,
         step=DERIVATIVE_STEP if table.time is None else record.STEP_CHOSEN,

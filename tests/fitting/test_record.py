@@ -157,6 +157,27 @@ def test_machine_stiffness_is_that_of_the_stage(folder):
     assert np.abs(other - plain.forward.predict({})[0]).max() > 0.004  # of 1
 
 
+def test_populations_on_a_machine_in_its_own_units():
+    """K/(N k) with the N of the run file, beside shares that are not rounded to it."""
+    kinds = [{"share": 1.0, "stiffness": 1e3}, {"share": 2.0, "stiffness": 4e3}]
+    machine = {"machine_stiffness": "50 N/mm", "radiation_damping": "100 N s/m"}
+    drive = {"start": "stationary", "velocity": 1.0, "stage": machine}
+    file = check(
+        {
+            "units": {"length": "m", "time": "s", "force": "N"},
+            "interface": {"normal_load": 10.0},
+            "contacts": {"count": 1000},
+            "population": kinds,
+            "drive": drive | {"programme": [{"velocity": 1.0, "time": 1.0}]},
+        }
+    )
+    course = RecordForward(file, np.array([0.0, 1.0]), None, 1.0).course({})
+    assert course.programme.stage == file.drive.stage
+    assert file.drive.stage.stiffness == pytest.approx(5e4 / 3e6, rel=1e-3, abs=0)
+    weights = [kind.weight for kind in course.ensemble.kinds]
+    assert weights == pytest.approx([1.0 / 9.0, 8.0 / 9.0], rel=1e-11, abs=0)
+
+
 def test_truth_is_recovered(folder):
     """Of a record with correlated errors, a scale and a drift: within 4 standard
     deviations, not rejected, and the correlation of neighbours within three of its
