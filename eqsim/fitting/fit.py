@@ -121,9 +121,13 @@ class FitResult:
 
     @property
     def changes(self) -> dict[str, float]:
-        """The best values of the free keys of the run file."""
-        best = self.values.items()
-        return {key: value for key, value in best if not key.startswith("fit.")}
+        """The best values of the free keys of the run file, and of the stiffness of a
+        stage that follows from the scale."""
+        best, forward = self.values, self.problem.forward
+        keys = {key: x for key, x in best.items() if not key.startswith("fit.")}
+        if isinstance(forward, RecordForward):
+            keys |= forward.stage_of(best)
+        return keys
 
     @property
     def seed(self) -> int:
@@ -376,6 +380,8 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
     )
     if section.record is not None and table.time is not None:
         stiffness = section.record.machine_stiffness
+        if stiffness is not None and file["drive.stage"] is None:
+            raise InputError("drive.stage: is required with machine_stiffness")
         if stiffness is not None and "drive.stage.stiffness" in section.free:
             both = "not allowed with fit.record.machine_stiffness"
             raise InputError(f"fit.free.drive.stage.stiffness: {both}")

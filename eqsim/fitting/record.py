@@ -250,17 +250,18 @@ class RecordForward:
         force = force_of(*course[:3], _COARSE, _MOST_SOLVER_STEPS, self.choices)
         return force[course.points]
 
+    def stage_of(self, changes: dict[str, float]) -> dict[str, float]:
+        """The stiffness of the stage by its key, if it follows from the scale."""
+        if self.machine_stiffness is None:
+            return {}
+        scale = changes.get("fit.scale", self.fixed_scale)
+        return {"drive.stage.stiffness": self.machine_stiffness / scale}
+
     def course(self, changes: dict[str, float]) -> Course:
         """Contacts, drive and grid at these parameters. Raises InputError."""
         keys = {key: x for key, x in changes.items() if not key.startswith("fit.")}
-        file = at(self.file, keys)
+        file = at(self.file, keys | self.stage_of(changes))
         ensemble, programme = unrounded(file), programme_of(file)
-        if self.machine_stiffness is not None:
-            if programme.stage is None:
-                raise InputError("drive.stage: is required with machine_stiffness")
-            scale = changes.get("fit.scale", self.fixed_scale)
-            stage = replace(programme.stage, stiffness=self.machine_stiffness / scale)
-            programme = replace(programme, stage=stage)
         _check_end(programme, self.time[-1])
         ends = programme.corners[0]
         time = np.minimum(self.time, ends[-1])

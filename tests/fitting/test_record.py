@@ -4,6 +4,7 @@ correlated errors."""
 import json
 import math
 import re
+import tomllib
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,13 +16,14 @@ from typer.testing import CliRunner
 from analysis import coverage
 from eqsim import InputError, load
 from eqsim.cli.app import app
-from eqsim.fitting.estimate import covariance, minimise
-from eqsim.fitting.fit import fit, goodness, prepare
+from eqsim.fitting import report
+from eqsim.fitting.estimate import Minimum, covariance, minimise
+from eqsim.fitting.fit import FitResult, fit, goodness, prepare
 from eqsim.fitting.model import Problem
 from eqsim.fitting.profiles import LEVELS
 from eqsim.fitting.record import RecordForward, correlated, settle_steps, shapes
 from eqsim.fitting.section import Parameter, section_of
-from eqsim.io.runfile import check
+from eqsim.io.runfile import at, check
 from eqsim.master.transient import transient
 
 ROOT = Path(__file__).parents[2]
@@ -155,6 +157,36 @@ def test_machine_stiffness_is_that_of_the_stage(folder):
     )
     other = given.forward.predict({"fit.scale": 1.0})[0]
     assert np.abs(other - plain.forward.predict({})[0]).max() > 0.004  # of 1
+    del content["drive"]["stage"]
+    with pytest.raises(InputError, match=r"drive.stage: is required with machine"):
+        prepare(check(content, folder), None, False)
+
+
+@pytest.mark.parametrize("scale", [3.0, {"start": 3.0, "bounds": [0.1, 10.0]}])
+def test_the_run_file_of_a_fit_is_the_best_one(tmp_path, scale):
+    """Its stage is K/scale, and its tables of thresholds and drives are found, those of
+    populations, too."""
+    (tmp_path / "xi.csv").write_text("1\n2\n")
+    (tmp_path / "X.csv").write_text("t,X\n0,0\n5,1\n")
+    write(tmp_path, np.ones(TIMES.size))
+    table = {"law": "table", "file": "xi.csv"}
+    content = tomllib.loads(RUN)
+    del content["drive"]["programme"]
+    content["drive"]["file"] = "X.csv"
+    content["population"] = [{"share": 1.0, "thresholds": table}, {"share": 1.0}]
+    content["fit"]["record"]["machine_stiffness"] = 1.5
+    content["fit"]["scale"] = scale
+    file = check(content, tmp_path)
+    section, table, problem = prepare(file, None, False)[1:4]
+    best = Minimum(problem.start, 1.0, True, 1)
+    found = FitResult(file, section, problem, table, best, np.eye(1), [best], {}, [])
+    out = tmp_path / "results" / "of"
+    out.mkdir(parents=True)
+    (out / "run.toml").write_text(report.run_toml(found, out))
+    again = load(out / "run.toml")
+    assert again["drive.stage.stiffness"] == pytest.approx(0.5, rel=1e-14, abs=0)
+    assert again.ensemble.populations[0].thresholds.mean == 1.5
+    assert again.drive == at(file, found.changes).drive
 
 
 def test_populations_on_a_machine_in_its_own_units():
