@@ -627,7 +627,7 @@ MISTAKES = [
       "math.sqrt(ensemble.mean_stiffness)", "math.sqrt(ensemble.stiffness)",
       "test_fit.py::test_the_standard_deviation_of_the_force_of_populations"),
     M("records: a machine beside as many contacts as shares take", "fitting/record.py",
-      "file = at(self.file, keys)", 'file = at(self.file, keys | {"contacts.count": 10**12})',
+      "keys | self.stage_of(changes)", 'keys | self.stage_of(changes) | {"contacts.count": 10**12}',
       "test_record.py::test_populations_on_a_machine_in_its_own_units"),
     M("fits: a model is compared at the temperatures of another", "fitting/fit.py",
       "heat=one.kelvin / unit", "heat=one.heat", "test_fit.py::test_compared_at_the_same_temperatures"),
