@@ -418,9 +418,8 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
 def _check_rows(file: RunFile, table: Measurements) -> None:
     """Raise InputError, with the line, for a row whose values no ensemble or constant
     drive can have."""
-    for name in ("programme", "file", "stage", "force", "force_rate", "stall_force"):
-        if file[f"drive.{name}"] is not None:
-            raise InputError(f"drive.{name}: not allowed with fit.data, steady values")
+    for name in file.driven_by:
+        raise InputError(f"drive.{name}: not allowed with fit.data, steady values")
     _ = file.ensemble  # its own errors must not name a row
     lines: dict[Any, int] = {}
     for one in table.conditions:

@@ -760,6 +760,10 @@ BAD = {
     "programme": ({"drive": {"programme": [{"velocity": 1.0, "distance": 1.0}]}}, {}, DATA,
                   "drive.programme: not allowed"),
     "nuisance": ({}, {"free": bounds("fit.offset")}, DATA, "only of a record"),
+    "idle offset": ({}, {"offset": 0.1}, DATA, "fit.offset: only of a record; there is no fit.record"),
+    "idle trend": ({}, {"trend": {"per": "time"}}, DATA, "fit.trend: only of a record; there is no fit.record"),
+    "two loads": ({}, {"area": 1.0, "normal_stress": 2.0}, DATA, "fit.normal_stress: not allowed with fit.area"),
+    "time": ({"drive": {"velocity": 1.0, "time": 2.0}}, {}, DATA, "drive.time: not allowed with fit.data"),
 }  # fmt: skip
 
 

@@ -352,6 +352,8 @@ BAD = {
     "negative time": ({}, "t,force\n-1,1\n2,1\n", "begins before time 0"),
     "too long": ({}, "t,force\n" + "\n".join(f"{t},1" for t in range(20)), "after the programme, which takes 5"),
     "no error": ({"noise": {}}, None, "line 3: force has no error"),
+    "temperature": ({"temperature": "T", "reference_temperature": 300.0}, None,
+                    "fit.temperature: only of a table; there is fit.record"),
     "both": ({"data": "record.csv"}, None, "fit.record: not allowed with fit.data"),
     "file": ({"record": {"file": "none.csv"}}, None, "none.csv: cannot be read (No such file"),
     "two stiffnesses": (
