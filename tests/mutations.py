@@ -733,6 +733,8 @@ MISTAKES = [
       "test_fokker_planck.py::test_laws_with_equal_numbers"),
     M("master: panels at 0 like others", "numerics/panels.py",
       "np.where(left == 0, first, pieces)", "np.where(left == 0, pieces, pieces)", "test_panels.py::test_pieces"),
+    M("model: a load that does not change is one that does", "model/drive.py", "load not in (None, 1.0)",
+      "load is not None", "test_load.py::test_refusals"),
     M("model: a velocity is a drive", "model/drive.py", "if not isinstance(drive, Drive):", "if drive is None:",
       "test_reference.py::test_what_is_no_drive_is_refused"),
     M("published: S_1", "master/closed_forms.py", "return C_0 / 2 * (1 + self.b)", "return C_0 * (1 + self.b)",

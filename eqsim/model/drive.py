@@ -336,7 +336,7 @@ class Programme(Checked):
     def loaded(self) -> bool:
         """True if the normal load changes."""
         loads = [(segment.load, segment.load_rate) for segment in self.segments]
-        return any(load is not None or rate for load, rate in loads)
+        return any(load not in (None, 1.0) or rate for load, rate in loads)
 
     @property
     def forced(self) -> bool:
