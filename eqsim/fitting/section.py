@@ -226,9 +226,13 @@ def section_of(file: RunFile) -> Fit:
         raise InputError("fit.normal_stress: not allowed with fit.area; one of both")
     if fit.data is not None and fit.record is not None:
         raise InputError("fit.record: not allowed with fit.data; one of both")
+    record = fit.record
+    if record and record.displacement and "time" in record.model_fields_set:
+        said = "not allowed with fit.record.displacement; one of both"
+        raise InputError(f"fit.record.time: {said}")
     unused: tuple[str, ...] = NUISANCES
     said = "only of a record; there is no fit.record"
-    if fit.record is not None:
+    if record is not None:
         unused, said = _OF_TABLE, "only of a table; there is fit.record"
     for key in unused:
         if getattr(fit, key.removeprefix("fit.")) not in (None, 0.0):

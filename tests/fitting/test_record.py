@@ -351,6 +351,8 @@ BAD = {
     "order": ({}, "t,force\n0,1\n2,1\n1,1\n", "line 4: t = 1: must be later"),
     "negative time": ({}, "t,force\n-1,1\n2,1\n", "begins before time 0"),
     "too long": ({}, "t,force\n" + "\n".join(f"{t},1" for t in range(20)), "after the programme, which takes 5"),
+    "two clocks": ({"record": {"file": "record.csv", "time": "t", "displacement": "X"}}, None,
+                   "fit.record.time: not allowed with fit.record.displacement"),
     "no error": ({"noise": {}}, None, "line 3: force has no error"),
     "temperature": ({"temperature": "T", "reference_temperature": 300.0}, None,
                     "fit.temperature: only of a table; there is fit.record"),
