@@ -99,9 +99,7 @@ def _law(path: Path, column: str | None, folder: Path) -> str:
     """The section of measured thresholds, with the unit in the name of the column."""
     sheet = csv.read(path, f"--thresholds {path}")
     name = sheet.columns[sheet.index(column) if column else 0]
-    if sheet.headless and len(sheet.columns) > 1:
-        said = "needs names of its columns in its first line"
-        raise InputError(f"--thresholds {path}: {said}")
+    sheet.require_names()
     unit = re.search(r"[\[(]([^\])]+)[\])]$", name)
     value, of = (units.measured(f"1 {unit[1]}") if unit else None) or (0.0, LENGTH)
     if of not in (LENGTH, FORCE):

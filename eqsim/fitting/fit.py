@@ -121,9 +121,13 @@ class FitResult:
 
     @property
     def changes(self) -> dict[str, float]:
-        """The best values of the free keys of the run file."""
-        best = self.values.items()
-        return {key: value for key, value in best if not key.startswith("fit.")}
+        """The best values of the free keys of the run file, and of the stiffness of a
+        stage that follows from the scale."""
+        best, forward = self.values, self.problem.forward
+        keys = {key: x for key, x in best.items() if not key.startswith("fit.")}
+        if isinstance(forward, RecordForward):
+            keys |= forward.stage_of(best)
+        return keys
 
     @property
     def seed(self) -> int:
@@ -371,9 +375,13 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
     names, nuisance = np.array(table.observable), dict[str, Array]()
     spread = names == "force_std"
     force = spread | (names == "friction")
-    forward: Forward = SteadyForward(file, rows, table.observable)
+    forward: Forward = SteadyForward(
+        file, rows, table.observable, free_scale=bool(scales)
+    )
     if section.record is not None and table.time is not None:
         stiffness = section.record.machine_stiffness
+        if stiffness is not None and file["drive.stage"] is None:
+            raise InputError("drive.stage: is required with machine_stiffness")
         if stiffness is not None and "drive.stage.stiffness" in section.free:
             both = "not allowed with fit.record.machine_stiffness"
             raise InputError(f"fit.free.drive.stage.stiffness: {both}")
@@ -384,7 +392,6 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
             else:
                 value = value - section.nuisance(key) * shape
     parameters = [one for one in free if one.key not in nuisance]
-    k = "contacts.stiffness"
     first, scale_of = len(parameters), np.full(names.size, -1)
     unit = np.ones(names.size)
     if scales:
@@ -401,7 +408,6 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
         scale_of=scale_of,
         unit=unit,
         spread=spread,
-        stiffness=np.array([dict(row.changes).get(k, file[k]) for row in rows]),
         nuisance=nuisance,
         loss=section.loss,
         step=DERIVATIVE_STEP if table.time is None else record.STEP_CHOSEN,
@@ -412,9 +418,8 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
 def _check_rows(file: RunFile, table: Measurements) -> None:
     """Raise InputError, with the line, for a row whose values no ensemble or constant
     drive can have."""
-    for name in ("programme", "file", "stage", "force", "force_rate", "stall_force"):
-        if file[f"drive.{name}"] is not None:
-            raise InputError(f"drive.{name}: not allowed with fit.data, steady values")
+    for name in file.driven_by:
+        raise InputError(f"drive.{name}: not allowed with fit.data, steady values")
     _ = file.ensemble  # its own errors must not name a row
     lines: dict[Any, int] = {}
     for one in table.conditions:

@@ -50,11 +50,11 @@ def velocity_of(row: MeasuredAt) -> float | None:
     return dict(row.changes).get("drive.velocity")
 
 
-def changed(file: RunFile, changes: dict[str, float]) -> RunFile:
-    """The run file with these values. Shares of populations are as given, not those of
-    a whole number of contacts."""
-    many = {"contacts.count": MANY} if file["population"] else {}
-    return at(file, {**changes, **many})
+def unrounded(file: RunFile) -> Ensemble:
+    """The contacts of a run file. Shares of populations are as given, not those of a
+    whole number of contacts."""
+    ensemble = file.ensemble
+    return replace(ensemble, count=MANY) if ensemble.populations else ensemble
 
 
 class Forward(Protocol):
@@ -76,6 +76,8 @@ class SteadyForward:
     file: RunFile
     rows: Sequence[MeasuredAt]
     observable: Sequence[str]
+    # True if N is unknown, as the scale of force N k is free.
+    free_scale: bool = False
     scaled: bool = False
 
     @cached_property
@@ -88,11 +90,11 @@ class SteadyForward:
         return members
 
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
-        """See `Forward`. The standard deviation of the force is that of one contact
-        over k, at unit scale."""
+        """See `Forward`. At unit scale the standard deviation of the force is that of
+        one contact over k, or if the scale N k is free, over the root of k."""
         predicted = np.empty((len(self.rows), 2))
         for (rest, heat), members in self.groups.items():
-            file = changed(self.file, {**changes, **dict(rest)})
+            file = at(self.file, {**changes, **dict(rest)})
             if heat != 1.0:
                 kT = [key for key in keys(file) if key.endswith("thermal.kT")]
                 file = at(file, {key: file[key] * heat for key in kT})
@@ -101,14 +103,17 @@ class SteadyForward:
             if None in v:
                 raise InputError("drive.velocity: is required, in the file or the data")
             names = [self.observable[index] for index in members]
+            ensemble = unrounded(file)
             if not set(AVERAGES).isdisjoint(names):
-                steady = curve(file.ensemble, np.array(v))
+                steady = curve(ensemble, np.array(v))
             for i, (index, name) in enumerate(zip(members, names, strict=True)):
                 if name in AVERAGES:
                     pair = getattr(steady, name), getattr(steady, f"{name}_error")
                     predicted[index] = pair[0][i], pair[1][i]
                 else:
-                    predicted[index] = other_observable(file.ensemble, v[i], name)
+                    predicted[index] = other_observable(ensemble, v[i], name)
+                if name == "force_std" and self.free_scale:
+                    predicted[index] *= math.sqrt(ensemble.mean_stiffness)
         value, error = predicted.T
         return value, error
 
@@ -158,8 +163,6 @@ class Problem:
     unit: Array
     # True of standard deviations of the force, which go as the root of a free scale.
     spread: Array
-    # Stiffness of a contact, if it is not free, of each measurement or of all.
-    stiffness: Array | float = 1.0
     # Functions added to predictions, by the key of their linear factor.
     nuisance: dict[str, Array] = field(default_factory=dict)
     loss: str = "gaussian"
@@ -217,14 +220,11 @@ class Problem:
 
     def _factor(self, values: dict[str, float]) -> Array:
         """The factor of predictions at unit scale. A free scale is N k: the standard
-        deviation of the force is that of a contact, k times a length, and goes as the
-        root of N."""
+        deviation of the force goes as its root."""
         factor, free = self.unit.copy(), self.scale_of >= 0
         if free.any():
             scale = np.array([values[key] for key in self.keys])[self.scale_of[free]]
-            given = values.get("contacts.stiffness", self.stiffness)
-            k = np.broadcast_to(given, factor.shape)[free]
-            factor[free] *= np.where(self.spread[free], np.sqrt(scale * k), scale)
+            factor[free] *= np.where(self.spread[free], np.sqrt(scale), scale)
         return factor
 
     def _combined(self, raw: Array, values: dict[str, float]) -> Array:
@@ -365,5 +365,4 @@ class Problem:
             scale_of=self.scale_of[same],
             unit=self.unit[same],
             spread=self.spread[same],
-            stiffness=np.broadcast_to(self.stiffness, self.value.shape)[same],
         )

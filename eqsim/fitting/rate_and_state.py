@@ -311,8 +311,10 @@ def record_of(
     if len(velocities) != len(at) + 1:
         said = "one time for each change of the velocity"
         raise InputError(f"{given}: must be {len(velocities) - 1}, {said}")
-    known = read(path, f"record = {path}").columns
-    names = list(columns) or known[:2] + ([] if noise else known[2:3])
+    sheet, names = read(path, f"record = {path}"), list(columns)
+    if not names:
+        sheet.require_names()
+        names = sheet.columns[: 2 if noise else 3]
     if not (len(names) == 3 or (len(names) == 2 and noise)):
         said = "must be those of time, force and, unless there is noise, standard error"
         raise InputError(f"columns = {shown(names)}: {said}")

@@ -24,10 +24,10 @@ from scipy import optimize
 from eqsim.errors import InputError
 from eqsim.fitting.data import MeasuredAt, Measurements
 from eqsim.fitting.estimate import Each, Minimum, search
-from eqsim.fitting.model import Problem, changed
+from eqsim.fitting.model import Problem, unrounded
 from eqsim.fitting.section import BlockSize, Fit, RecordSection
 from eqsim.io.csv import read
-from eqsim.io.runfile import RunFile
+from eqsim.io.runfile import RunFile, at
 from eqsim.io.series import Blocks, RowErrors, blocks_of, means, read_series
 from eqsim.master.cohorts import Choices
 from eqsim.master.programme import means_along
@@ -177,7 +177,7 @@ def _words_of(blocks: Blocks, t: Array) -> str:
     return f"{said}, at most {longest:.3g} long in time: {some}"
 
 
-class _Course(NamedTuple):
+class Course(NamedTuple):
     """Contacts and drive of a prediction, the grid of instants at which it is solved,
     and the indices of the record's instants among these."""
 
@@ -213,7 +213,7 @@ class RecordForward:
 
     def predict(self, changes: dict[str, float]) -> tuple[Array, Array]:
         """See `Forward`."""
-        course = self._course(changes)
+        course = self.course(changes)
         if not course.programme.pulled:
             kinds, drive = course.ensemble.kinds, course[1:3]
             means = summed(kinds, [means_along(one.contacts, *drive) for one in kinds])
@@ -226,7 +226,7 @@ class RecordForward:
         """Find the correction at these parameters, by Richardson extrapolation of
         solves with finer time steps, taken to be of second order. Its error is a third
         of what the last refinement changes, more than tests have seen."""
-        course = self._course(changes)
+        course = self.course(changes)
         if not course.programme.pulled:
             return self
         forces = each(lambda fine: force_of(*course[:3], fine)[course.points], (2, 4))
@@ -239,34 +239,35 @@ class RecordForward:
 
     def settle_steps(self, changes: dict[str, float]) -> "RecordForward":
         """Take the time steps that a solve at these parameters chooses; uncorrected."""
-        course = self._course(changes)
+        course = self.course(changes)
         if not course.programme.pulled:
             return self
         choices = choices_of(*course[:3], _COARSE, _MOST_SOLVER_STEPS)
         return replace(self, correction=0.0, error=0.0, choices=choices)
 
-    def _coarse(self, course: _Course) -> Array:
+    def _coarse(self, course: Course) -> Array:
         """The force, uncorrected, with the coarse time steps of a search."""
         force = force_of(*course[:3], _COARSE, _MOST_SOLVER_STEPS, self.choices)
         return force[course.points]
 
-    def _course(self, changes: dict[str, float]) -> _Course:
+    def stage_of(self, changes: dict[str, float]) -> dict[str, float]:
+        """The stiffness of the stage by its key, if it follows from the scale."""
+        if self.machine_stiffness is None:
+            return {}
+        scale = changes.get("fit.scale", self.fixed_scale)
+        return {"drive.stage.stiffness": self.machine_stiffness / scale}
+
+    def course(self, changes: dict[str, float]) -> Course:
         """Contacts, drive and grid at these parameters. Raises InputError."""
         keys = {key: x for key, x in changes.items() if not key.startswith("fit.")}
-        file = changed(self.file, keys)
-        ensemble, programme = file.ensemble, programme_of(file)
-        if self.machine_stiffness is not None:
-            if programme.stage is None:
-                raise InputError("drive.stage: is required with machine_stiffness")
-            scale = changes.get("fit.scale", self.fixed_scale)
-            stage = replace(programme.stage, stiffness=self.machine_stiffness / scale)
-            programme = replace(programme, stage=stage)
+        file = at(self.file, keys | self.stage_of(changes))
+        ensemble, programme = unrounded(file), programme_of(file)
         _check_end(programme, self.time[-1])
         ends = programme.corners[0]
         time = np.minimum(self.time, ends[-1])
         t = np.unique(np.concatenate((ends, time)))
         grid = Grid(t, programme.position(t), _segment(programme, t))
-        return _Course(ensemble, programme, grid, np.searchsorted(t, time))
+        return Course(ensemble, programme, grid, np.searchsorted(t, time))
 
 
 def shapes(file: RunFile, fit: Fit, t: Array) -> dict[str, Array]:

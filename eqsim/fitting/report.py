@@ -178,11 +178,12 @@ def run_toml(result: FitResult, out: Path) -> str:
             middle = float(f"{math.exp(np.mean(np.log(known))):.6g}")
             file = at(file, {"drive.velocity": middle})
     data = copied(file.given)
-    for section in ("thresholds", "drive"):
-        name = data.get(section, {}).get("file")
-        if name is not None:
-            path = (file.folder / name).absolute()
-            data[section]["file"] = os.path.relpath(path, out.absolute())
+    sections = [data.get("drive", {}), data.get("thresholds", {})]
+    sections += [kind.get("thresholds", {}) for kind in data.get("population", [])]
+    for section in sections:
+        if "file" in section:
+            path = (file.folder / section["file"]).absolute()
+            section["file"] = os.path.relpath(path, out.absolute())
     count, digest = len(table.value), table.sha256
     lines = [f"# best fit of {count} measurements; data SHA-256 {digest}"]
     others = {key: x for key, x in result.values.items() if key not in result.changes}

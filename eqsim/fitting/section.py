@@ -23,6 +23,8 @@ from eqsim.sweeps.plan import entries
 
 # Parameters of a record that are no keys of a run file, and their names in [fit].
 NUISANCES = ("fit.offset", "fit.drift", "fit.trend")
+# Keys of [fit] that say what a column of a table is.
+_OF_TABLE = ("fit.temperature", "fit.reference_temperature")
 # Keys of [interface] of which the only one holds for data, too: with an area these are
 # forces, with a normal stress friction coefficients.
 _LOADS = ("area", "normal_stress")
@@ -220,8 +222,21 @@ def section_of(file: RunFile) -> Fit:
         given = {name: getattr(file.interface, name) for name in _LOADS}
         known = {name: value for name, value in given.items() if value is not None}
         fit = fit.model_copy(update=known if len(known) == 1 else {})
+    if fit.area is not None and fit.normal_stress is not None:
+        raise InputError("fit.normal_stress: not allowed with fit.area; one of both")
     if fit.data is not None and fit.record is not None:
         raise InputError("fit.record: not allowed with fit.data; one of both")
+    record = fit.record
+    if record and record.displacement and "time" in record.model_fields_set:
+        said = "not allowed with fit.record.displacement; one of both"
+        raise InputError(f"fit.record.time: {said}")
+    unused: tuple[str, ...] = NUISANCES
+    said = "only of a record; there is no fit.record"
+    if record is not None:
+        unused, said = _OF_TABLE, "only of a table; there is fit.record"
+    for key in unused:
+        if getattr(fit, key.removeprefix("fit.")) not in (None, 0.0):
+            raise InputError(f"{key}: {said}")
     if (fit.temperature is None) != (fit.reference_temperature is None):
         missing = "temperature" if fit.temperature is None else "reference_temperature"
         said = "kT of a row is thermal.kT temperature/reference_temperature"

@@ -95,6 +95,18 @@ class Sheet:
             raise InputError(f'{self.field}: has {count} columns "{name}"')
         return columns.index(name)
 
+    @property
+    def whole(self) -> "Sheet":
+        """The same with the first line as a row, if that is one: of files whose columns
+        need no names."""
+        return replace(self, first=self.first - 1) if self.headless else self
+
+    def require_names(self) -> None:
+        """Raise InputError if the first line is a row, and there are several columns."""
+        if self.headless and len(self.columns) > 1:
+            said = "needs names of its columns in its first line"
+            raise InputError(f"{self.field}: {said}; found {', '.join(self.columns)}")
+
     def rows(self) -> Iterator[tuple[int, list[str]]]:
         """Number of the line and a cell for each column, of every row; numbers have
         decimal points. Raises InputError for a line that is none."""
@@ -144,8 +156,8 @@ def read(path: Path, field: str, decimal: str | None = None) -> Sheet:
     sheet = Sheet(field, columns, first, content, encoding, separator, sign)
     if len(columns) > 1 and sheet.headless:  # as numpy.savetxt writes
         with io.TextIOWrapper(io.BytesIO(content), encoding) as text:
-            above = "".join(itertools.islice(text, first - 1)).rpartition("#")[2]
-        names = _names(above.strip(), separator)
+            above = [line for line in itertools.islice(text, first - 1) if line.strip()]
+        names = _names("".join(above[-1:]).strip().lstrip("#% \t"), separator)
         if len(names) == len(columns) and not _numbers(names, "."):
             return replace(sheet, columns=names, first=first - 1)
     if len(lines) > 2:

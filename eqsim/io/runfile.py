@@ -69,6 +69,8 @@ _MACHINE = {
     "machine_stiffness": ("stiffness", catalogue.LENGTH),
     "radiation_damping": ("damping", catalogue.VELOCITY),
 }
+# Keys of a drive that change nothing with these values.
+_IDLE = {"stall_force": math.inf, "rebinding": "unstretched"}
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ class RunFile(Listed):
     text: str = field(default="", repr=False, compare=False)
     folder: Path = field(default=Path(), repr=False, compare=False)
     unlisted: ClassVar[tuple[str, ...]] = (
-        *("constant", "constant_drive", "headline", "physical"),
+        *("constant_drive", "driven_by", "headline", "physical"),
         *("preferred", "pulled", "quantities_in", "rows"),
     )
 
@@ -156,25 +158,28 @@ class RunFile(Listed):
             if getattr(output, name) and self["elastic"]:
                 said = "not with [elastic], which writes every block and avalanche"
                 raise InputError(f"output.{name}: {said}")
-        if output.breaks and not self.constant:
+        if output.breaks and self.driven_by:
             said = "breaks are listed at a constant drive.velocity only"
             raise InputError(f"output.breaks: {said}")
         return output
 
     @property
-    def constant(self) -> bool:
-        """True for a drive at `drive.velocity` over `drive.distance`."""
-        given = {name for name, value in self["drive"].items() if value is not None}
-        return given <= {"velocity", "distance", "start"}
+    def driven_by(self) -> list[str]:
+        """The keys of [drive] that make it another drive than one at `drive.velocity`
+        over `drive.distance`."""
+        usual = ("velocity", "distance", "start")
+        given = {key: x for key, x in self["drive"].items() if key not in usual}
+        return [key for key, x in given.items() if x not in (None, _IDLE.get(key))]
 
     @property
     def pulled(self) -> bool:
         """True if a stage, force, motor or blocks in time move the slider."""
         if isinstance(self.blocks, Chain):
             return True
-        parts = [self["drive"], *(self["drive.programme"] or ())]
-        names = "stage", "stall_force", *PULLS
-        return any(part.get(name) is not None for part in parts for name in names)
+        given = set(self.driven_by)
+        for part in self["drive.programme"] or ():
+            given |= {name for name in PULLS if part[name] is not None}
+        return not given.isdisjoint(("stage", "stall_force", *PULLS))
 
     @cached_property
     def ensemble(self) -> Ensemble:
@@ -242,7 +247,7 @@ class RunFile(Listed):
     def drive(self) -> Drive | Programme:
         """The drive of the slider. Raises InputError."""
         given, blocks = self["drive"], self.blocks
-        if not self.constant or isinstance(blocks, Chain):
+        if self.driven_by or isinstance(blocks, Chain):
             return programme_of(self)
         if given["velocity"] is None:
             raise InputError("drive.velocity: is required")
@@ -349,11 +354,6 @@ def _require_law(key: str, given: dict[str, Any], laws: tuple[str, ...]) -> None
         raise InputError(f"{key}: is required with {min(there)}; must be {allowed}")
 
 
-def _two_temperatures(temperature: float) -> InputError:
-    given = f"thermal.temperature = {shown(temperature)}"
-    return InputError(f"{given}: not allowed with kT; give one of them")
-
-
 def load(path: Path | str, changes: dict[str, Any] | None = None) -> RunFile:
     """Read and check a run file.
 
@@ -399,10 +399,6 @@ def _changed(
         nested = not isinstance(axes, dict) or isinstance(axes.get(first), dict)
         quoted = axis != key and not nested and first not in ("zip", "file")
         put(data, key, value, ["sweep", axis] if quoted else None)
-    heat = data.get("thermal")
-    # even if kT is 0
-    if isinstance(heat, dict) and {"kT", "temperature"} <= heat.keys():
-        raise _two_temperatures(heat["temperature"])
     text += "".join(
         f"# --set {key}={plain(value)!r}\n" for key, value in changes.items()
     )
@@ -458,13 +454,13 @@ def check(data: dict[str, Any], folder: Path = Path()) -> RunFile:
     file = RunFile(given, content.model_dump(), folder=folder)
     _heat(file)
     _ = file.units, file.interface, file.output
-    _stage(file)
     _load(file)
     for index, population in enumerate(file.settings["population"] or []):
         with under(f"population.{index}"):
             merged = population_alone(file, index).settings
         population |= {name: merged[name] for name in schema.OF_POPULATION}
         population["stiffness"] = merged["contacts"]["stiffness"]
+    _stage(file)
     return file
 
 
@@ -475,7 +471,7 @@ def _load(file: RunFile) -> None:
     load = given["load"] if given else None
     if isinstance(load, str):
         where = f"elastic.load = {load}"
-        sheet = csv.read(path_of("elastic.load", file.folder, load), where)
+        sheet = csv.read(path_of("elastic.load", file.folder, load), where).whole
         load = csv.numbers(sheet, sheet.columns[:1], strict=True).values[:, 0].tolist()
     elif isinstance(load, dict):
         if load.keys() != {"first", "last"}:
@@ -485,7 +481,7 @@ def _load(file: RunFile) -> None:
         require_integer("elastic.blocks", given["blocks"], 1, 10**7)
         load = np.linspace(load["first"], load["last"], given["blocks"]).tolist()
     if load is not None:
-        given["load"] = file.given["elastic"]["load"] = load
+        given["load"] = load
 
 
 def _heat(file: RunFile) -> None:
@@ -495,12 +491,12 @@ def _heat(file: RunFile) -> None:
     if thermal["temperature"] is None:
         return
     with under("thermal"):
-        kT = file.units.energy(thermal["temperature"])
-    same = math.isclose(thermal["kT"], kT, rel_tol=1e-12, abs_tol=0.0)
-    if thermal["kT"] and not same:
-        raise _two_temperatures(thermal["temperature"])
-    thermal["kT"] = kT
-    file.given["thermal"].pop("kT", None)
+        thermal["kT"] = kT = file.units.energy(thermal["temperature"])
+        before = file.given["thermal"].pop("kT", kT)
+        # what was in force is read again with both
+        if not math.isclose(before, kT, rel_tol=1e-12, abs_tol=0.0):
+            given = f"temperature = {shown(thermal['temperature'])}"
+            raise InputError(f"{given}: not allowed with kT; give one of them")
 
 
 def _stage(file: RunFile) -> None:
@@ -508,18 +504,17 @@ def _stage(file: RunFile) -> None:
     machine, as `_heat` does. Raises InputError."""
     stage = file.settings["drive"]["stage"]
     for name, (other, per) in _MACHINE.items() if stage else ():
-        text, before = stage[name], stage[other]
+        text = stage[name]
         if text is None:
             continue
         try:
             value = over_contacts(text, per, file.units, file.quantities)
-            same = math.isclose(before or 0.0, value, rel_tol=1e-12, abs_tol=0.0)
-            if before and not same:
+            before = file.given["drive"]["stage"].pop(other, value)
+            if not math.isclose(before, value, rel_tol=1e-12, abs_tol=0.0):
                 raise InputError(f"not allowed with {other}; give one of them")
         except InputError as error:
             raise InputError(f"drive.stage.{name} = {shown(text)}: {error}") from None
         stage[other] = value
-        file.given["drive"]["stage"].pop(other, None)
     if stage and stage["stiffness"] is None:
         raise InputError("drive.stage.stiffness: is required")
 

@@ -28,6 +28,9 @@ _LEAST_STRETCHES = 16
 # Growth of what a line has none of, from a stretch to one twice as long, from which on it
 # is no scatter: that of correlated errors grows by sqrt(2) at most, a curve fourfold.
 _CURVED = 2.0
+# Rows that lines are told from, at least: three stretches of 4, of which a corner is in
+# one, so that the median of their scatter is that of straight ones.
+LEAST_ROWS = 12
 # Error of a row at least, over the range of all.
 _ROUNDING = 1e-9
 # Normal quantile of 3/4: median over standard deviation of absolute values.
@@ -207,7 +210,7 @@ def broken_line(t: Array, y: Array) -> Lines:
     """The lines that noisy rows follow. A slope within 3 standard errors of 0 is 0."""
     blocks = blocks_of(y, np.zeros(y.size, int), RowErrors(np.zeros(y.size)))
     x, value = means(t, blocks), means(y, blocks)
-    weight = 1.0 / np.maximum(blocks.error, _ROUNDING * np.ptp(y))
+    weight = 1.0 / np.maximum(blocks.error, _ROUNDING * (np.ptp(y) or 1.0))
 
     def line(a: int, b: int) -> tuple[Array, Array]:
         """Coefficients of the best line through block means, and their covariance."""

@@ -1,7 +1,6 @@
 """Tables that a run file names: CSV files of thresholds and of recorded drives."""
 
 import functools
-import itertools
 import math
 from collections.abc import Callable
 from contextlib import suppress
@@ -13,7 +12,7 @@ import numpy as np
 
 from eqsim.errors import InputError, under
 from eqsim.io import csv
-from eqsim.io.series import broken_line, read_series
+from eqsim.io.series import LEAST_ROWS, broken_line, read_series
 from eqsim.laws.threshold import Table
 from eqsim.model.drive import Segment
 
@@ -50,8 +49,7 @@ def read_thresholds(path: Path, column: str | None = None, scale: float = 1.0) -
     sheet, hint = csv.read(path, field), " (thresholds.column names another)"
     alone = column is None and len(sheet.columns) == 1
     index = 0 if alone else sheet.index(column or "threshold", hint)
-    first = [(sheet.first, sheet.columns)] * (alone and sheet.headless)
-    for line, cells in itertools.chain(first, sheet.rows()):
+    for line, cells in (sheet.whole if alone else sheet).rows():
         value = csv.value_of(cells[index])
         if not 0 < value < math.inf:
             said = f"{cells[index][:40]!r} must be a finite number > 0"
@@ -97,10 +95,13 @@ def read_drive(path: Path, record: DriveRecord | None = None) -> RecordedDrive:
     if (t[0], X[0]) != (0.0, 0.0):
         first = f"{field}, line {lines[0]}: {how.time} = {t[0]:g}"
         needed = f"the first instant must be {how.time} = 0, {how.displacement} = 0"
-        cure = '; drive.record.start = "first row" shifts both'
-        raise InputError(f"{first}, {how.displacement} = {X[0]:g}: {needed}{cure}")
-    if t.size < 2:
-        raise InputError(f"{field}: needs two instants at least")
+        cure = 'drive.record.start = "first row" shifts both'
+        if how.start == "first row":
+            cure = "gaps come before; give the time of this line as drive.record.start"
+        raise InputError(f"{first}, {how.displacement} = {X[0]:g}: {needed}; {cure}")
+    least, said_of = (LEAST_ROWS, " with smooth = true") if how.smooth else (2, "")
+    if t.size < least:
+        raise InputError(f"{field}: needs {least} instants at least{said_of}")
     velocity = np.diff(X) / np.diff(t)
     if how.smooth:
         t, velocity = broken_line(t, X)

@@ -336,7 +336,7 @@ class Programme(Checked):
     def loaded(self) -> bool:
         """True if the normal load changes."""
         loads = [(segment.load, segment.load_rate) for segment in self.segments]
-        return any(load is not None or rate for load, rate in loads)
+        return any(load not in (None, 1.0) or rate for load, rate in loads)
 
     @property
     def forced(self) -> bool:
@@ -398,7 +398,7 @@ def require_drive(drive: Drive | Programme) -> Drive:
     """A constant drive; InputError for what is none, such as a bare velocity or a
     programme."""
     if isinstance(drive, Programme):
-        what = "drive.programme: has no steady state"
+        what = "drive.programme, drive.file or drive.time: has no steady state"
         if drive.pulled:
             what = "drive.stage: a slider that a spring pulls has no steady state"
         if drive.chain:

@@ -171,7 +171,7 @@ def test_breaks_do_not_depend_on_threads_or_on_room(monkeypatch):
         (
             Ensemble(),
             Programme([Segment(0.1, distance=1.0)]),
-            "drive.programme: has no steady state",
+            "drive.programme, drive.file or drive.time: has no steady state",
         ),
     ],
     ids=["stationary", "langevin", "many", "programme"],

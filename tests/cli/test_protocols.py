@@ -175,7 +175,7 @@ def test_what_has_no_steady_state(path, command):
     result = call(command[0], path, *command[1:])
     assert result.exit_code == 2
     assert (
-        "drive.programme: has no steady state; this needs a constant drive.velocity"
+        "drive.programme, drive.file or drive.time: has no steady state; this needs"
         in result.output
     )
 

@@ -511,12 +511,14 @@ def test_blocks_may_stand_in_the_interface(tmp_path):
     """The same numbers from [interface], from a load by its ends or from a file, and by
     --set; a key in both sections is refused."""
     (tmp_path / "w.csv").write_text("weight\n1\n1.5\n2\n2.5\n")
+    (tmp_path / "x.csv").write_text("1\n1.5\n2\n2.5\n")
     alias = RUN_FILE.replace("[elastic]", "[interface]")
     cut = "load = [1, 1.2, 1, 0.8]"
     texts = {
         "list": RUN_FILE.replace(cut, "load = [1, 1.5, 2, 2.5]"),
         "alias": alias.replace(cut, "load = { first = 1.0, last = 2.5 }"),
         "file": alias.replace(cut, 'load = "w.csv"'),
+        "no name": alias.replace(cut, 'load = "x.csv"'),
     }
     found = {}
     for name, text in texts.items():
@@ -528,6 +530,8 @@ def test_blocks_may_stand_in_the_interface(tmp_path):
     np.testing.assert_array_equal(run_file(found["file"]).trajectory.X, first.X)
     changed = opened(tmp_path / "alias.toml", changes={"interface.coupling": 7.0})
     assert changed.drive.elastic.coupling == 7.0
+    fewer = found["alias"].with_changes({"elastic.blocks": 3})
+    assert fewer.drive.elastic.load == (1.0, 1.75, 2.5)
     for text, said in (
         (
             alias + "[elastic]\nblocks = 4\n",

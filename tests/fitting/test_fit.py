@@ -685,6 +685,25 @@ def test_the_standard_deviation_of_the_force_of_each_stiffness(tmp_path):
     np.testing.assert_allclose(predicted("data.csv", 2.0), right, rtol=1e-12)
 
 
+def test_the_standard_deviation_of_the_force_of_populations(tmp_path):
+    """A free scale N k, with k the mean over populations, one of which has a free
+    stiffness: predictions are those of a fixed scale and N contacts, to rounding."""
+    (tmp_path / "data.csv").write_text("drive.velocity,force_std\n0.1,0.5\n0.2,0.5\n")
+    kinds = [{"share": 1.0, "stiffness": 2.0}, {"share": 2.0, "stiffness": 4.0}]
+    content = {"thermal": {"kT": 0.1}, "contacts": {"count": 900}, "population": kinds}
+    section = {"data": "data.csv", "noise": {"relative": 0.05}}
+    section["free"] = bounds("population.0.stiffness")
+    scale = 900 * 10.0 / 3.0
+
+    def predicted(scale):
+        file = check(content | {"fit": section | {"scale": scale}}, tmp_path)
+        problem = prepare(file, None, True).problem
+        return problem.given(problem.start)
+
+    free = {"start": scale, "bounds": [1.0, 1e5]}
+    np.testing.assert_allclose(predicted(free), predicted(scale), rtol=1e-12)
+
+
 FREE = {"thermal.kT": {"bounds": [1e-3, 20.0]}}
 BAD = {
     "no [fit]": ({}, None, DATA, "fit: the run file has no section"),
@@ -741,6 +760,10 @@ BAD = {
     "programme": ({"drive": {"programme": [{"velocity": 1.0, "distance": 1.0}]}}, {}, DATA,
                   "drive.programme: not allowed"),
     "nuisance": ({}, {"free": bounds("fit.offset")}, DATA, "only of a record"),
+    "idle offset": ({}, {"offset": 0.1}, DATA, "fit.offset: only of a record; there is no fit.record"),
+    "idle trend": ({}, {"trend": {"per": "time"}}, DATA, "fit.trend: only of a record; there is no fit.record"),
+    "two loads": ({}, {"area": 1.0, "normal_stress": 2.0}, DATA, "fit.normal_stress: not allowed with fit.area"),
+    "time": ({"drive": {"velocity": 1.0, "time": 2.0}}, {}, DATA, "drive.time: not allowed with fit.data"),
 }  # fmt: skip
 
 

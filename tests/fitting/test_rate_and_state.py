@@ -332,6 +332,9 @@ def test_bad_records(tmp_path):
     ):
         with pytest.raises(InputError, match=said):
             record_of(tmp_path / "step.csv", velocities=velocities, noise=noise)
+    (tmp_path / "step.csv").write_text("0,0.6\n1,0.61\n2,0.6\n")
+    with pytest.raises(InputError, match=r"step\.csv: needs names .*; found 0, 0\.6"):
+        record_of(tmp_path / "step.csv", velocities=[1.0], noise=1e-3)
 
 
 def covered(sets, law, shrunk=1.0):

@@ -4,6 +4,7 @@ correlated errors."""
 import json
 import math
 import re
+import tomllib
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,13 +16,14 @@ from typer.testing import CliRunner
 from analysis import coverage
 from eqsim import InputError, load
 from eqsim.cli.app import app
-from eqsim.fitting.estimate import covariance, minimise
-from eqsim.fitting.fit import fit, goodness, prepare
+from eqsim.fitting import report
+from eqsim.fitting.estimate import Minimum, covariance, minimise
+from eqsim.fitting.fit import FitResult, fit, goodness, prepare
 from eqsim.fitting.model import Problem
 from eqsim.fitting.profiles import LEVELS
 from eqsim.fitting.record import RecordForward, correlated, settle_steps, shapes
 from eqsim.fitting.section import Parameter, section_of
-from eqsim.io.runfile import check
+from eqsim.io.runfile import at, check
 from eqsim.master.transient import transient
 
 ROOT = Path(__file__).parents[2]
@@ -155,6 +157,57 @@ def test_machine_stiffness_is_that_of_the_stage(folder):
     )
     other = given.forward.predict({"fit.scale": 1.0})[0]
     assert np.abs(other - plain.forward.predict({})[0]).max() > 0.004  # of 1
+    del content["drive"]["stage"]
+    with pytest.raises(InputError, match=r"drive.stage: is required with machine"):
+        prepare(check(content, folder), None, False)
+
+
+@pytest.mark.parametrize("scale", [3.0, {"start": 3.0, "bounds": [0.1, 10.0]}])
+def test_the_run_file_of_a_fit_is_the_best_one(tmp_path, scale):
+    """Its stage is K/scale, and its tables of thresholds and drives are found, those of
+    populations, too."""
+    (tmp_path / "xi.csv").write_text("1\n2\n")
+    (tmp_path / "X.csv").write_text("t,X\n0,0\n5,1\n")
+    write(tmp_path, np.ones(TIMES.size))
+    table = {"law": "table", "file": "xi.csv"}
+    content = tomllib.loads(RUN)
+    del content["drive"]["programme"]
+    content["drive"]["file"] = "X.csv"
+    content["population"] = [{"share": 1.0, "thresholds": table}, {"share": 1.0}]
+    content["fit"]["record"]["machine_stiffness"] = 0.9
+    content["fit"]["scale"] = scale
+    file = check(content, tmp_path)
+    section, table, problem = prepare(file, None, False)[1:4]
+    best = Minimum(problem.start, 1.0, True, 1)
+    found = FitResult(file, section, problem, table, best, np.eye(1), [best], {}, [])
+    out = tmp_path / "results" / "of"
+    out.mkdir(parents=True)
+    (out / "run.toml").write_text(report.run_toml(found, out))
+    again = load(out / "run.toml")
+    assert again["drive.stage.stiffness"] == pytest.approx(0.3, rel=1e-14, abs=0)
+    assert again.ensemble.populations[0].thresholds.mean == 1.5
+    assert again.drive == at(file, found.changes).drive
+
+
+def test_populations_on_a_machine_in_its_own_units():
+    """K/(N k) with the N of the run file, beside shares that are not rounded to it."""
+    kinds = [{"share": 1.0, "stiffness": 1e3}, {"share": 2.0, "stiffness": 4e3}]
+    machine = {"machine_stiffness": "50 N/mm", "radiation_damping": "100 N s/m"}
+    drive = {"start": "stationary", "velocity": 1.0, "stage": machine}
+    file = check(
+        {
+            "units": {"length": "m", "time": "s", "force": "N"},
+            "interface": {"normal_load": 10.0},
+            "contacts": {"count": 1000},
+            "population": kinds,
+            "drive": drive | {"programme": [{"velocity": 1.0, "time": 1.0}]},
+        }
+    )
+    course = RecordForward(file, np.array([0.0, 1.0]), None, 1.0).course({})
+    assert course.programme.stage == file.drive.stage
+    assert file.drive.stage.stiffness == pytest.approx(5e4 / 3e6, rel=1e-3, abs=0)
+    weights = [kind.weight for kind in course.ensemble.kinds]
+    assert weights == pytest.approx([1.0 / 9.0, 8.0 / 9.0], rel=1e-11, abs=0)
 
 
 def test_truth_is_recovered(folder):
@@ -298,7 +351,11 @@ BAD = {
     "order": ({}, "t,force\n0,1\n2,1\n1,1\n", "line 4: t = 1: must be later"),
     "negative time": ({}, "t,force\n-1,1\n2,1\n", "begins before time 0"),
     "too long": ({}, "t,force\n" + "\n".join(f"{t},1" for t in range(20)), "after the programme, which takes 5"),
+    "two clocks": ({"record": {"file": "record.csv", "time": "t", "displacement": "X"}}, None,
+                   "fit.record.time: not allowed with fit.record.displacement"),
     "no error": ({"noise": {}}, None, "line 3: force has no error"),
+    "temperature": ({"temperature": "T", "reference_temperature": 300.0}, None,
+                    "fit.temperature: only of a table; there is fit.record"),
     "both": ({"data": "record.csv"}, None, "fit.record: not allowed with fit.data"),
     "file": ({"record": {"file": "none.csv"}}, None, "none.csv: cannot be read (No such file"),
     "two stiffnesses": (

@@ -305,5 +305,18 @@ def test_a_temperature_of_a_population_replaces_its_heat():
     assert heat["population.0.thermal.temperature"] is None
     assert heat["population.0.thermal.kT"] == 0.3
     both = {"population.0.thermal.temperature": 300.0, "population.0.thermal.kT": 0.3}
-    with pytest.raises(InputError, match="not allowed with kT"):
-        file.with_changes(both)
+    for kT in (0.3, 0.0):
+        both["population.0.thermal.kT"] = kT
+        with pytest.raises(InputError, match=r"^population\.0\.thermal.* with kT"):
+            file.with_changes(both)
+
+
+def test_a_machine_pulls_populations_that_inherit_their_stiffness():
+    """K/(N k) of ten contacts, 8 as stiff as the key at the top says."""
+    machine = {"machine_stiffness": "52 N/m"}
+    drive = {"velocity": 0.1, "stage": machine}
+    kinds = [{"share": 4}, {"share": 1, "stiffness": 5.0}]
+    content = {"contacts": {"count": 10, "stiffness": 2.0}, "population": kinds}
+    content["units"] = {"length": "m", "time": "s", "force": "N"}
+    stage = check(content | {"drive": drive}).drive.stage
+    assert stage.stiffness == pytest.approx(52.0 / 26.0, rel=1e-14, abs=0)

@@ -370,6 +370,8 @@ def test_good_tables(tmp_path):
         "\ufeffsample, threshold\n1, 2.5\n2, 0.5\n\n3, 1e3\n", encoding="utf-8"
     )
     assert list(read_thresholds(path).steps) == [0.5, 2.5, 1000.0]
+    path.write_text("# no name\n2.5\n1\n")
+    assert list(read_thresholds(path).steps) == [1.0, 2.5]
 
 
 def test_tables_of_forces(tmp_path):
@@ -528,6 +530,21 @@ def test_a_recorded_drive(tmp_path):
     ]
 
 
+def test_defaults_that_are_written_out_change_nothing():
+    """Of a constant drive, which is no programme then; a motor that stalls is one."""
+    given = {"velocity": 0.1, "distance": 5.0}
+    usual = {"stall_force": math.inf, "rebinding": "unstretched"}
+    file = check({"drive": given | usual})
+    assert file.constant_drive == Drive(0.1, 5.0)
+    assert not file.pulled
+    motor = check({"drive": given | {"stall_force": 2.0}})
+    assert motor.pulled
+    assert motor.drive.pulled
+    assert check({"drive": {"force": 0.1, "time": 2.0}}).pulled
+    with pytest.raises(InputError, match=r"drive\.time: has no steady state"):
+        _ = check({"drive": {"velocity": 0.1, "time": 2.0}}).constant_drive
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -543,7 +560,7 @@ def test_a_recorded_drive(tmp_path):
         ),
         ("t,X\n0,0\n1,nan\n", "line 3: X = nan: must be finite"),
         ("t,X\n0,0\n1,much\n", "line 3: X = 'much': must be a number"),
-        ("t,X\n0,0\n", "needs two instants at least"),
+        ("t,X\n0,0\n", "needs 2 instants at least"),
         ("t,X,X\n0,0,0\n", 'has 2 columns "X"'),
         ("t,X\n0,0\n1,5,3\n", "line 3: more values than columns"),
     ],

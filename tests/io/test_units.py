@@ -14,7 +14,7 @@ from eqsim.catalogue import Dimension
 from eqsim.errors import InputError
 from eqsim.fitting.report import to_toml
 from eqsim.io.parameters import parameters
-from eqsim.io.runfile import at
+from eqsim.io.runfile import at, stored
 from eqsim.io.surface import doubts, machine_stiffness
 from eqsim.io.units import Interface, Units, quantities
 
@@ -179,6 +179,7 @@ def test_a_temperature_is_a_kT(run_file):
     plain = load(run_file, {"thermal.kT": 0.5})
     assert (plain["thermal.kT"], plain["thermal.temperature"]) == (0.5, None)
     assert at(plain, {"thermal.temperature": 300.0})["thermal.kT"] == file["thermal.kT"]
+    assert "kT" not in stored(file.settings).given["thermal"]
     loaded = load(RUNS / "steel.toml", {"interface.normal_load": 2.0}).interface
     assert (loaded.normal_load, loaded.normal_stress) == (2.0, None)
 
@@ -186,7 +187,7 @@ def test_a_temperature_is_a_kT(run_file):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("thermal.kT=0.0 thermal.temperature=300", "thermal.temperature = 300: not allowed with kT; give one of them"),
+        ("thermal.kT=0.0 thermal.temperature=300", "thermal.temperature = 300.0: not allowed with kT; give one"),
         ("thermal.temperature=-1.0", "thermal.temperature = -1.0: must be a finite number >= 0"),
         ('units.force=""', 'thermal.temperature = 300.0: kT takes SI units of length and force, and units.force is'),
         ("units.length=x_*", "and units.length = 'x_*' is none; must be such as \"m\", \"um\", \"nm\""),
@@ -358,6 +359,10 @@ def test_a_machine_in_its_own_units(name, run_file):
         ({"units.length": "x"}, "takes SI units"),
         (
             {f"drive.stage.{name}": given, f"drive.stage.{field}": 0.2},
+            "give one of them",
+        ),
+        (
+            {f"drive.stage.{name}": given, f"drive.stage.{field}": 0.0},
             "give one of them",
         ),
     ):

@@ -73,6 +73,8 @@ READ = {
     "units in brackets": (
         text(put(PLAIN, 1, "[s],[N/mm^2]")), NAMES, "line 2 holds units"),
     "names in a comment": (text(["# time mu", *table("", " ")[1:]]), NAMES, "blanks"),
+    "names in a comment of Matlab": (
+        text(["% 20 % of # 3", "% time mu", *table("", " ")[1:]]), NAMES, "blanks"),
     "quoted cells": (
         text([f'"{line}"'.replace(",", '","') for line in PLAIN]), NAMES, "commas"),
     "quoted decimal commas": (
@@ -212,6 +214,12 @@ def test_a_recorded_load_point(tmp_path):
         assert words in said
     with pytest.raises(InputError, match=r"drive\.record: needs drive\.file"):
         _ = check({"drive": {"record": {}}}).drive
+    (tmp_path / "x.csv").write_text("Time,LP\n1,\n2,0.5\n3,2\n")
+    with pytest.raises(InputError, match=r"line 3: Time = 1, .* gaps come before"):
+        _ = check({"drive": drive}, tmp_path).drive
+    drive["record"]["start"] = 2
+    (shifted,) = check({"drive": drive}, tmp_path).drive.segments
+    assert (shifted.velocity, shifted.time) == (1.5, 1.0)
 
 
 def test_steps_and_holds_are_told_from_noise(tmp_path):
@@ -230,3 +238,24 @@ def test_steps_and_holds_are_told_from_noise(tmp_path):
     np.testing.assert_allclose(found, [1.0, 0.0, 10.0, 1.0], rtol=0, atol=2.4e-4)
     assert found[1] == 0.0
     assert [round(one.time, 0) for one in smooth] == [100.0] * 4
+
+
+def test_short_records_are_smoothed_or_refused(tmp_path):
+    """A ramp of 20 in 20 and a hold as long, whose corner hides in the scatter of two
+    stretches; and a hold, which has none."""
+    how = DriveRecord(smooth=True)
+
+    def smoothed(X):
+        rows = zip(np.linspace(0.0, 40.0, len(X)).tolist(), X, strict=True)
+        lines = ["t,X", *(f"{t!r},{x!r}" for t, x in rows)]
+        (tmp_path / f"{len(X)}.csv").write_text("\n".join(lines))
+        return read_drive(tmp_path / f"{len(X)}.csv", how).segments
+
+    for size in (12, 13, 14):
+        X = np.minimum(np.linspace(0.0, 40.0, size), 20.0).tolist()
+        found = [[one.velocity, one.time] for one in smoothed(X)]
+        np.testing.assert_allclose(found, [[1.0, 20.0], [0.0, 20.0]], rtol=0, atol=1e-6)
+        with pytest.raises(InputError, match=r"needs 12 instants .* smooth = true"):
+            smoothed(X[:-3])
+    (hold,) = smoothed([0.0] * 20)
+    assert (hold.velocity, hold.time) == (0.0, 40.0)

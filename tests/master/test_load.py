@@ -127,3 +127,5 @@ def test_refusals(tmp_path):
         means_along(EQUAL, drive, drive.grid(5))
     with pytest.raises(InputError, match="not with a stage"):
         Programme(drive.segments, stage=Stage(1.0))
+    even = Segment(0.1, distance=1.0, load=1.0, load_rate=0.0)  # defaults
+    assert not Programme([even], stage=Stage(1.0)).loaded
