@@ -155,7 +155,7 @@ def test_negative_controls(size, wrong, of, kinds, monkeypatch):
     # compiled for every law that is drawn
     monkeypatch.setattr(points, "typical_life", lambda e, v: e.thresholds.mean)
 
-    def knowing(count, seed, part):
+    def knowing(count, seed, *_):
         known = (
             (e, v) for _, e, v in drawn(48 * count, seed) if of(e, v) and wrong(e) != e
         )
@@ -291,6 +291,29 @@ def test_signs_of_scores(wrong):
         [found.friction.stderr, found.pinned.stderr, found.break_stretch.stderr],
         rtol=1e-3,
     )
+
+
+def test_contacts_of_a_laboratory(monkeypatch):
+    """A share of those that heat breaks, here half of 240 (to 5 standard deviations),
+    with barriers and attempts as they should be; the others are as without."""
+    monkeypatch.setattr(points, "typical_life", lambda ensemble, v: 1.0)
+    both = zip(sample(240, 1), sample(240, 1, solids=0.5), strict=True)
+    warm, high = 0, []
+    for (_, usual, v), (_, solid, _) in both:
+        warm += usual.thermal.active
+        if solid.thermal != usual.thermal:
+            high.append((solid, v))
+            assert solid.delay == usual.delay
+    assert abs(len(high) - 0.5 * warm) < 5 * math.sqrt(0.25 * warm)
+    for solid, v in high:
+        heat, unit = solid.thermal, solid.thresholds.scale
+        slip = heat.slip.rate if heat.slip else heat.off_rate
+        if slip is None:
+            log_attempts = math.log(heat.attempt_frequency * unit / v)
+            assert log_attempts <= 0.5 * unit**2 / heat.kT * (1.0 + 1e-9) < 1.1e9
+        else:
+            log_attempts = -math.log(slip * unit / v)
+        assert 8.99 < log_attempts < 40.01
 
 
 def test_sample(monkeypatch):

@@ -367,7 +367,7 @@ def test_wrong_law(control, monkeypatch):
         Suite(control.points, control.points // 3, ((20, 2000), (100, 1000))),
     )
     monkeypatch.setattr(
-        verdict, "sample", lambda count, seed, _: knowing(control, count, seed)
+        verdict, "sample", lambda count, seed, *_: knowing(control, count, seed)
     )
     result = validate("control", seed=7, wrong=control.change)
     run_control(control.law, control.wrong, control.kinds, result, begin)
