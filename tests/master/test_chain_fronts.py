@@ -140,6 +140,7 @@ def test_fronts_of_blocks_followed_in_time(contacts, row):
         (lambda: front_prestress(2.0, 1.0, mass=1.0), "damping = 0: must be > 0 where"),
         (lambda: front_prestress(1.1, 1.0, mass=1.0, damping=1.0), "break again"),
         (lambda: front_prestress(1e-5, 1.0, damping=1.0), "trapped"),
+        (lambda: front_prestress(0.5, 1.0, damping=1e-200), "at least 1e-100"),
         (lambda: front_prestress(1.0, 1.0, damping=1.0, contacts="fast"), "contacts"),
         (
             lambda: front_speed(0.5, 1.0, damping=1.0, drive_stiffness=1.0, contacts="rigid"),
@@ -179,6 +180,48 @@ def test_fast_fronts_of_heavily_damped_blocks(speed, coupling, chain, contacts, 
     )
     assert abs(found.value - exact) <= found.stderr + 1e-13
     assert found.stderr < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("contacts", "blocks", "speed", "exact"),
+    [
+        ("reattached", chain(1, 0.1, 1, 1e-6), 0.7, 0.638761740251),
+        ("reattached", chain(1, 0.1, 1, 1e-12), 0.7, 0.638761518576),
+        ("reattached", chain(20, 0.5, 1, 1e-6), 3.9, 0.694888300904),
+        ("reattached", chain(100, 0, 1, 1e-5), 8.0, 0.503210906287),
+        ("detached", chain(8, 0.3, 2, 1e-6), 1.1, 0.485914205237),
+        ("rigid", chain(1, 0, 1, 1e-6), 1.3, 0.638971239677),
+        ("rigid", chain(20, 0, 1, 1e-6), 6.0, 0.666666699216),
+    ],
+)
+def test_fronts_of_weakly_damped_blocks(contacts, blocks, speed, exact):
+    """Against panels along the real axis that halve towards each root of Re Lam and of
+    its derivative, to 12 digits; extrapolated to no damping for that of 1e-12."""
+    found = front_prestress(speed, **blocks, contacts=contacts)
+    assert abs(found.value - exact) <= found.stderr + 5e-13
+    assert found.stderr < 2e-11
+    back = front_speed(found.value, **blocks, contacts=contacts)
+    assert back.value == pytest.approx(speed, rel=1e-9, abs=0)
+
+
+@pytest.mark.parametrize("contacts", ["detached", "rigid"])
+@pytest.mark.parametrize(("speed", "coupling"), [(1.3, 1.0), (9.0, 20.0)])
+def test_weakly_damped_fronts_have_the_undamped_limit(contacts, speed, coupling):
+    """The damping of 1e-12 shifts them by less than 1e-11, in proportion to it."""
+    blocks = {"coupling": coupling, "mass": 1.0, "contacts": contacts}
+    exact = front_prestress(speed, **blocks).value
+    for damping in (1e-12, 1e-80):
+        found = front_prestress(speed, **blocks, damping=damping)
+        assert abs(found.value - exact) <= found.stderr + 1e-11
+
+
+def test_a_resonance_that_begins_has_an_error():
+    """Where the wave's frequency is a double root of Re Lam: against panels along the
+    real axis, whose rounding is 1e-10."""
+    speed = 0.9810198819672862 * (1.0 - 1e-8)
+    found = front_prestress(speed, **chain(20, 0.5, 1, 1e-6))
+    assert abs(found.value - 7.21604078679) <= found.stderr + 5e-10
+    assert found.stderr < 1e-8
 
 
 def test_a_front_that_is_all_but_trapped_has_an_error():
