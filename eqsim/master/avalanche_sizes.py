@@ -31,16 +31,12 @@ _OCTAVES = 2.0 ** np.arange(-54.0, 7.0)
 _LARGEST_SIZE = 20_000
 
 
-def shared_stiffness(law: ThresholdLaw, stiffness: StiffnessLaw = "uniform") -> float:
-    """k_t/k, the mean stiffness of a pinned contact at T = 0."""
-    return law.rms / law.mean if stiffness == "sqrt" else 1.0
-
-
 def load_of(
     law: ThresholdLaw, spring: float, stiffness: StiffnessLaw = "uniform"
 ) -> float:
-    """Load rho of contacts behind a spring of the stiffness `spring` = K/(N k)."""
-    k = shared_stiffness(law, stiffness)
+    """Load rho of contacts behind a spring of the stiffness `spring` = K/(N k); k is the
+    mean stiffness k_t/k of a pinned contact at T = 0."""
+    k = law.rms / law.mean if stiffness == "sqrt" else 1.0
     return k / (k + spring)
 
 

@@ -289,7 +289,7 @@ def front_speed(
     ------
     InputError
         As `front_prestress` does, and if no front runs at this prestress: a chain traps
-        fronts below `trapping_prestress`, unless inertia carries them.
+        fronts of a small prestress, unless inertia carries them.
 
     Examples
     --------
@@ -327,24 +327,6 @@ def front_speed(
         f"no steady front between {speeds[0]:.3g} and {speeds[-1]:.3g} blocks per time"
     )
     raise InputError(f"prestress = {prestress:g}: {said}")
-
-
-def trapping_prestress(
-    coupling: float, drive_stiffness: float = 0.0, *, contacts: Contacts = "reattached"
-) -> float:
-    """Prestress below which a chain without inertia traps a front (derived): stretches
-    fall by z at each block, a + 2 K = K (z + 1/z), a = 1 + K_d ahead, and behind
-    "detached" contacts with a = K_d. Raises InputError as `front_prestress` does, and
-    for "rigid" contacts, whose chain traps none."""
-    _checked(_Blocks(coupling, 0.0, 1.0, drive_stiffness), contacts)
-    require_choice("contacts", contacts, ("reattached", "detached"))
-    ahead = 1.0 + drive_stiffness
-    if contacts == "reattached":
-        return 1.0 - 0.5 / ahead + 0.5 / math.sqrt(ahead**2 + 4.0 * ahead * coupling)
-    if not drive_stiffness:
-        return 0.0  # a force that does not fall breaks any contacts in the end
-    z_a, z_b = decay(coupling, ahead), decay(coupling, drive_stiffness)
-    return 1.0 / (1.0 + z_a * (1.0 - z_b) / ((1.0 - z_a * z_b) * drive_stiffness))
 
 
 def decay(coupling: float, stiffness: float = 1.0) -> float:
