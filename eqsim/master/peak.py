@@ -16,8 +16,9 @@ import numpy as np
 from eqsim.errors import InputError
 from eqsim.estimate import Estimate, known
 from eqsim.laws.no_thresholds import NoThresholds
+from eqsim.master.programme import Transient
 from eqsim.master.steady import reference
-from eqsim.master.transient import Transient, transient
+from eqsim.master.transient import transient
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array

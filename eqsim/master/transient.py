@@ -35,7 +35,7 @@ from eqsim.laws.delay import Exponential, Fixed
 from eqsim.laws.no_thresholds import has_jumps
 from eqsim.master import programme, slider
 from eqsim.master.profile import Profile
-from eqsim.master.programme import Transient as Transient
+from eqsim.master.programme import Transient
 from eqsim.master.quenched import integrals_beyond
 from eqsim.master.steady import reference, settled
 from eqsim.model.drive import Drive, Programme, over_distance, require_drive
