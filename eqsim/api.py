@@ -64,12 +64,12 @@ from eqsim.master.chains import edge_load as edge_load
 from eqsim.master.chains import precursors as precursors
 from eqsim.master.closure import Closure as Closure
 from eqsim.master.lifetimes import Lifetime as Lifetime
+from eqsim.master.programme import Transient as Transient
 from eqsim.master.stability import FreshSlip as FreshSlip
 from eqsim.master.stability import Stability as Stability
 from eqsim.master.steady import Curve as Curve
 from eqsim.master.steady import Reference as Reference
 from eqsim.master.transient import Fluctuations as Fluctuations
-from eqsim.master.transient import Transient as Transient
 from eqsim.model.chain import Chain as Chain
 from eqsim.model.drive import Drive as Drive
 from eqsim.model.drive import Programme as Programme

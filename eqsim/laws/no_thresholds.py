@@ -22,9 +22,10 @@ class NoThresholds(Discrete):
     Parameters
     ----------
     x_star : float, optional
-        Typical stretch at breaking, the unit of length of tables and grids, on which no
-        result depends; by default a force that changes the rate of the bond by e, over
-        its stiffness. Raises InputError unless > 0.
+        Typical stretch at breaking: the unit of length of tables and grids, on which no
+        mean depends, of default distances, and of the least slip of a slider behind a
+        spring (0.005 of it); by default a force that changes the rate of the bond by e,
+        over its stiffness. Raises InputError unless > 0.
 
     Attributes
     ----------

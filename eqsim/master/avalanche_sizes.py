@@ -25,31 +25,26 @@ from eqsim.laws.threshold import ThresholdLaw
 from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
-# log2 of -ln P(xi > .) at the beginnings of panels; nothing counts beyond these.
-_OCTAVES = np.arange(-54.0, 6.0)
+# -ln P(xi > .) at the ends of panels; nothing counts beyond these.
+_OCTAVES = 2.0 ** np.arange(-54.0, 7.0)
 # Largest size up to which the law is solved for, to bound time and memory.
 _LARGEST_SIZE = 20_000
-
-
-def shared_stiffness(law: ThresholdLaw, stiffness: StiffnessLaw = "uniform") -> float:
-    """k_t/k, the mean stiffness of a pinned contact at T = 0."""
-    return law.rms / law.mean if stiffness == "sqrt" else 1.0
 
 
 def load_of(
     law: ThresholdLaw, spring: float, stiffness: StiffnessLaw = "uniform"
 ) -> float:
-    """Load rho of contacts behind a spring of the stiffness `spring` = K/(N k)."""
-    k = shared_stiffness(law, stiffness)
+    """Load rho of contacts behind a spring of the stiffness `spring` = K/(N k); k is the
+    mean stiffness k_t/k of a pinned contact at T = 0."""
+    k = law.rms / law.mean if stiffness == "sqrt" else 1.0
     return k / (k + spring)
 
 
 def size_law(
     law: ThresholdLaw, load: float, most: int, stiffness: StiffnessLaw = "uniform"
 ) -> Array:
-    """P(1), ..., P(most), shape (most,), to 1e-10 (thresholds whose law has gaps:
-    1e-4), at the `load` rho, in (0, 1]; `most` up to 20000. Raises InputError for
-    values out of range."""
+    """P(1), ..., P(most), shape (most,), to 1e-10, at the `load` rho, in (0, 1]; `most`
+    up to 20000. Raises InputError for values out of range."""
     require_number("load", load, above=0.0, most=1.0)
     require_integer("most", most, 1, _LARGEST_SIZE)
     points = 1 << (4 * most + 60).bit_length()
@@ -96,12 +91,13 @@ def missed_by_few(
 def nodes_of(law: ThresholdLaw, each: int) -> tuple[Array, Array]:
     """Thresholds in units of the law's scale, and weights, arrays (nodes,), for means
     over a law: all of a discrete one, or `each` Gauss-Legendre nodes in an octave of
-    -ln P(xi > .)."""
+    -ln P(xi > .), and between kinks of the law."""
     if law.steps.size:
         xi, weight = np.unique(law.steps, return_counts=True)
     else:
-        octave = 2.0**_OCTAVES
-        e, weight = map(np.ravel, gauss_legendre(each).between(octave, 2.0 * octave))
+        kinks = -np.log(np.clip(law.sf(law.kinks), np.exp(-_OCTAVES[-1]), 1.0))
+        edges = np.union1d(_OCTAVES, np.maximum(kinks, _OCTAVES[0]))
+        e, weight = map(np.ravel, gauss_legendre(each).between(edges[:-1], edges[1:]))
         xi, weight = np.asarray(law.inverse_survival(e)), weight * np.exp(-e)
     return xi / law.scale, weight / np.sum(weight)
 

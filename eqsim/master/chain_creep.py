@@ -1,86 +1,21 @@
-"""Creep of chains of blocks below their threshold (derived): contacts that forget, the
-life of a few contacts that are not replaced, and the two limits of steady creep.
+"""The two limits of the steady creep of chains of blocks below their threshold
+(derived).
 
 Stiffnesses are over n k, thresholds are 1 and all equal, and rates of a contact of
 stretch x are omega exp(-b (1 - x^2)).
 """
 
-import functools
 import math
 
 import numpy as np
-from scipy import linalg, optimize, special
+from scipy import optimize, special
 
-from eqsim.errors import require_integer, require_number
+from eqsim.errors import require_number
 from eqsim.numerics.quadrature import gauss_legendre
-from eqsim.numerics.tables import Array
 
-# Panels and nodes of a mean over modes, or over a life.
-_PANELS = 64
+# Panels and nodes of a mean over a life: breaks may all be within 1/(2 b) of a stretch.
+_PANELS = 512
 _ORDER = 16
-# Panels shrink by this ratio towards mode 0, whose time is the longest.
-_RATIO = 0.6
-# Most contacts of a chain that is not replaced: its sets of pinned ones are 2^20.
-_MOST_CONTACTS = 20
-
-
-def relaxing_edge(coupling: float, time: Array) -> Array:
-    """Displacement of the edge of a half infinite chain over the force F/(n k) on it,
-    array (times,), whose contacts forget their stretch at a rate r: `time` is r t. As a
-    sum over modes of stiffness kappa = K (2 - 2 cos q),
-
-        X_0/F = (2/pi) int_0^pi cos^2(q/2) [(1 - e)/kappa + e/(1 + kappa)] dq,
-        e = exp(-kappa r t/(1 + kappa)).
-
-    Raises InputError for a coupling out of range."""
-    require_number("coupling", coupling, least=1e-6, most=1e9)
-    edges = math.pi * np.append(0.0, _RATIO ** np.arange(_PANELS - 1.0, -1.0, -1.0))
-    q, weights = gauss_legendre(_ORDER).between(edges[:-1], edges[1:])
-    q, weights = q.ravel(), weights.ravel() * 2.0 / math.pi
-    kappa = 4.0 * coupling * np.sin(0.5 * q) ** 2
-    slow = np.asarray(time, float)[..., None] / (1.0 + kappa)
-    relaxed = -np.expm1(-kappa * slow) / kappa
-    elastic = np.exp(-kappa * slow) / (1.0 + kappa)
-    return np.asarray((relaxed + elastic) @ (weights * np.cos(0.5 * q) ** 2))
-
-
-def mean_life(blocks: int, coupling: float, force: float, b: float) -> float:
-    """Mean time, over 1/omega, until the last contact of a chain breaks that bears a
-    constant force on each block, one contact in each, which is not replaced. The mean T
-    of a set of pinned contacts follows from those of its subsets,
-
-        T(S) = [1 + sum_i r_i T(S without i)]/sum_i r_i,
-
-    with T = 0 and r from the balance of forces; what is stretched beyond its threshold
-    breaks at once. Raises InputError for numbers out of range."""
-    require_integer("blocks", blocks, 1, _MOST_CONTACTS)
-    require_number("coupling", coupling, least=1e-6, most=1e9)
-    require_number("force", force, least=0.0, most=1e9)
-    require_number("b", b, least=0.0, most=1e3)
-    springs = coupling * (
-        2.0 * np.eye(blocks) - np.eye(blocks, k=1) - np.eye(blocks, k=-1)
-    )
-    springs[[0, -1], [0, -1]] -= coupling
-
-    @functools.cache
-    def life(pinned: frozenset[int]) -> float:
-        if not pinned:
-            return 0.0
-        held, each = springs.copy(), sorted(pinned)
-        held[each, each] += 1.0
-        x = linalg.solve(held, np.full(blocks, force), assume_a="pos")[each]
-        over = frozenset(
-            i for i, stretch in zip(each, x, strict=True) if stretch >= 1.0
-        )
-        if over:  # loads of the others only rise
-            return life(pinned - over)
-        rates = np.exp(-b * (1.0 - x**2))
-        later = sum(
-            r * life(pinned - {i}) for i, r in zip(each, rates.tolist(), strict=True)
-        )
-        return float((1.0 + later) / rates.sum())
-
-    return life(frozenset(range(blocks)))
 
 
 def creep_velocity(stretch: float, b: float, *, coupled: bool) -> float:

@@ -33,11 +33,11 @@ from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy import integrate, optimize
+from scipy import optimize
 
 from eqsim.errors import InputError, require_choice, require_number
 from eqsim.estimate import Estimate
-from eqsim.numerics.quadrature import gauss_legendre
+from eqsim.numerics.quadrature import gauss_legendre, halved
 from eqsim.numerics.tables import Array
 
 Contacts = Literal["reattached", "detached", "rigid"]
@@ -46,14 +46,16 @@ Contacts = Literal["reattached", "detached", "rigid"]
 _DOUBLINGS = 8
 # Most periods, to bound memory.
 _MOST_PERIODS = 4096
-# Panels of a quarter of a period, finer towards either end.
-_GRADED = np.concatenate(
-    ([0.0], 0.5 ** np.arange(7.0, 1.0, -1.0), 1.0 - 0.5 ** np.arange(1.0, 8.0))
-)
-# Frequencies of interest over those at which damping is as strong as springs, at least.
+# Frequencies of interest over those at which damping is as strong as springs or inertia,
+# at least.
 _SLOWEST = 1e-2
-# Nodes in a panel, and in a quarter of a period where there are no panels.
+# Nodes in a panel.
 _ORDER = 16
+# Difference of a panel from its halves that does not matter, absolute and relative to
+# all of the integral.
+_ALIKE = 1e-14
+# Damping below which products with the slowest frequencies underflow.
+_LEAST_DAMPING = 1e-100
 # The last resonance lies below so many times the largest frequency of the chain.
 _BEYOND_RESONANCE = 1.5
 # Speeds that are tried, over the fastest of sound and drag: a range, and how many.
@@ -75,12 +77,28 @@ class _Blocks(NamedTuple):
         springs = stiffness + 4.0 * self.coupling * np.sin(0.5 * w * T) ** 2
         return np.asarray(springs - self.mass * w**2 - 1j * self.damping * w)
 
+    def log_balance(self, w: Array, stiffness: float, T: float) -> Array:
+        """ln(i Lam), without a cut where Im Lam < 0."""
+        return np.asarray(np.log(1j * self.balance(w, stiffness, T)))
+
+    def path(self, w: Array, T: float) -> tuple[Array, Array]:
+        """Path beside the real axis, and its derivative (derived). Weakly damped waves
+        are roots of Lam beside the axis, on the side to which d(Re Lam)/dw is positive.
+        The path is on the other side, by less than 1/T, and crosses where the
+        derivative vanishes. Im Lam < 0 on it and between it and the axis."""
+        wave = self.coupling * T**2
+        slope = (wave * np.sin(w * T) - self.mass * w * T) / (wave + self.mass)
+        bend = (wave * np.cos(w * T) - self.mass) / (wave + self.mass)
+        root = np.sqrt(1.0 + slope**2)
+        return w - 1j / T * slope / root, 1.0 - 1j * bend / root**3
+
     def integral(self, function: Callable[[Array], Array], T: float) -> Estimate:
-        """Integral from 0 to infinity of a function of w that has the periods of the
-        chain and falls as 1/w^2 in their mean: adaptive where it may be resonant, then
-        extrapolated from partial sums, a series in 1/periods (Richardson)."""
+        """Integral from 0 to infinity of the imaginary part of an analytic function of
+        w that has the periods of the chain and falls as 1/w^2 in their mean: on a path
+        beside resonances, in panels that are halved where they must, then extrapolated
+        from partial sums, a series in 1/periods (Richardson)."""
         stiffest = 1.0 + self.drive_stiffness + 4.0 * self.coupling
-        last = stiffest / self.damping if self.damping else math.inf
+        last = stiffest / self.damping
         if self.mass:
             last = min(last, math.sqrt(stiffest / self.mass))
         quarter = 0.5 * math.pi / T
@@ -89,34 +107,29 @@ class _Blocks(NamedTuple):
             said = "is so slow that the front is trapped, or nearly so"
             raise InputError(f"speed = {1.0 / T:g}: {said}")
         first, rule = resonant, gauss_legendre(_ORDER)
-        if self.mass and self.damping:  # a series only where inertia exceeds damping
+        if self.mass:  # a series only where inertia exceeds damping
             heavy = math.ceil(self.damping / self.mass / (4.0 * quarter))
             first = max(first, min(heavy, _MOST_PERIODS // 4))
 
         def total(edges: Array) -> float:
             w, weights = rule.between(edges[:-1], edges[1:])
-            return float((function(w) * weights).sum())
+            return float((function(w) * weights).imag.sum())
 
-        sums = [0.0]
-        if self.mass:
+        def beside(low: Array, high: Array) -> Array:
+            nodes, weights = rule.between(low, high)
+            w, slope = self.path(nodes, T)
+            return np.asarray((function(w) * slope * weights).imag.sum(axis=-1))
 
-            def at(w: float) -> float:
-                return float(function(np.array([w]))[0])
-
-            for low in quarter * np.arange(4 * resonant):
-                sums[0] += integrate.quad(
-                    at, low, low + quarter, limit=500, epsabs=1e-13, epsrel=1e-11
-                )[0]
-            sums[0] += total(quarter * np.arange(4 * resonant, 4 * first + 1))
-        else:  # steep only where sin(w T/2) = 0, and where damping outweighs springs
-            graded = (np.arange(4 * first)[:, None] + _GRADED).ravel()
-            edges = quarter * np.append(graded, 4 * first)
-            slowest = _SLOWEST * min(self.drive_stiffness or 1.0, 1.0) / self.damping
-            if slowest < edges[1]:
-                halvings = math.ceil(2.0 * math.log2(edges[1] / slowest)) + 1
-                slow = np.geomspace(slowest, edges[1], halvings + 1)
-                edges = np.concatenate((edges[:1], slow, edges[2:]))
-            sums[0] = total(edges)
+        springs = min(self.drive_stiffness or 1.0, 1.0) / self.damping
+        inertia = self.damping / (self.mass + self.coupling * T**2)
+        slowest = min(_SLOWEST * min(springs, inertia), 0.5 * quarter)
+        doublings = math.ceil(math.log2(quarter / slowest))
+        slow = np.geomspace(slowest, quarter, doublings + 1)
+        edges = np.concatenate(([0.0], slow, quarter * np.arange(2, 4 * resonant + 1)))
+        begin, rough = halved(beside, edges, _ALIKE)
+        # from the end of the path to the axis
+        begin += total(np.append(self.path(edges[-1:], T)[0], edges[-1]))
+        sums = [begin + total(quarter * np.arange(4 * resonant, 4 * first + 1))]
         periods = first
         while len(sums) <= _DOUBLINGS and (periods < _MOST_PERIODS or len(sums) < 3):
             whole = quarter * np.arange(4 * periods, 8 * periods + 1)
@@ -129,7 +142,7 @@ class _Blocks(NamedTuple):
         # steps of the last orders, of which one may be small by chance; of a heavily
         # damped mass the series begins later than sums end
         missed = max(abs(table[0] - before[1]), abs(before[1] - before[0]))
-        return Estimate(float(table[0]), 2.0 * float(missed), 0)
+        return Estimate(float(table[0]), 2.0 * float(missed) + rough, 0)
 
     def prestress(self, speed: float, contacts: Contacts) -> Estimate:
         """Prestress of a front at a speed, without checks."""
@@ -140,26 +153,28 @@ class _Blocks(NamedTuple):
         if contacts == "reattached":
 
             def response(w: Array) -> Array:
-                return self.damping / np.abs(self.balance(w, held, T)) ** 2
+                return np.asarray((1.0 / self.balance(w, held, T) - 1.0 / held) / w)
 
             found = self.integral(response, T)
             value = 1.0 - 0.5 / held + found.value / math.pi  # type: ignore[operator]
             return Estimate(value, found.stderr / math.pi + _ROUNDING, 0)  # type: ignore[operator]
 
         g = 1.0 / max(self.damping, math.sqrt(self.mass))
+        slow, before = self.drive_stiffness or self.damping * g, 1.0
+        if contacts == "detached":
+            before = math.sqrt(slow / held)
 
         def phase(w: Array) -> Array:
-            sliding = np.angle(self.balance(w, self.drive_stiffness, T))
+            sliding = self.log_balance(w, self.drive_stiffness, T)
             if contacts == "rigid":
-                alone = -self.mass * w**2 - 1j * self.damping * w
-                return np.asarray((np.angle(alone) - sliding) / w)
+                alone = np.log(w) + np.log(self.damping - 1j * self.mass * w)
+                return np.asarray((alone - sliding) / w)
             if not self.drive_stiffness:  # then Lam (w + i g)/w has no root at w = 0
-                sliding += np.angle(w + 1j * g)
-            return np.asarray((np.angle(self.balance(w, held, T)) - sliding) / w)
+                sliding += np.log(w + 1j * g) - np.log(w)
+            rest = 2.0 * math.log(before)
+            return np.asarray((self.log_balance(w, held, T) - sliding + rest) / w)
 
-        found, before = self.integral(phase, T), 1.0
-        if contacts == "detached":
-            before = math.sqrt((self.drive_stiffness or self.damping * g) / held)
+        found = self.integral(phase, T)
         value = before * math.exp(found.value / math.pi)  # type: ignore[operator]
         return Estimate(value, value * (found.stderr / math.pi + _ROUNDING), 0)  # type: ignore[operator]
 
@@ -274,7 +289,7 @@ def front_speed(
     ------
     InputError
         As `front_prestress` does, and if no front runs at this prestress: a chain traps
-        fronts below `trapping_prestress`, unless inertia carries them.
+        fronts of a small prestress, unless inertia carries them.
 
     Examples
     --------
@@ -314,24 +329,6 @@ def front_speed(
     raise InputError(f"prestress = {prestress:g}: {said}")
 
 
-def trapping_prestress(
-    coupling: float, drive_stiffness: float = 0.0, *, contacts: Contacts = "reattached"
-) -> float:
-    """Prestress below which a chain without inertia traps a front (derived): stretches
-    fall by z at each block, a + 2 K = K (z + 1/z), a = 1 + K_d ahead, and behind
-    "detached" contacts with a = K_d. Raises InputError as `front_prestress` does, and
-    for "rigid" contacts, whose chain traps none."""
-    _checked(_Blocks(coupling, 0.0, 1.0, drive_stiffness), contacts)
-    require_choice("contacts", contacts, ("reattached", "detached"))
-    ahead = 1.0 + drive_stiffness
-    if contacts == "reattached":
-        return 1.0 - 0.5 / ahead + 0.5 / math.sqrt(ahead**2 + 4.0 * ahead * coupling)
-    if not drive_stiffness:
-        return 0.0  # a force that does not fall breaks any contacts in the end
-    z_a, z_b = decay(coupling, ahead), decay(coupling, drive_stiffness)
-    return 1.0 / (1.0 + z_a * (1.0 - z_b) / ((1.0 - z_a * z_b) * drive_stiffness))
-
-
 def decay(coupling: float, stiffness: float = 1.0) -> float:
     """z, by which displacements fall from block to block where each is held by a
     `stiffness`, both over n k: stiffness = K (1 - z)^2/z."""
@@ -347,6 +344,9 @@ def _checked(blocks: _Blocks, contacts: Contacts) -> _Blocks:
         require_number(name, getattr(blocks, name), least=0.0, most=1e9)
     if not blocks.mass and not blocks.damping:
         raise InputError("damping = 0: must be > 0 without a mass")
+    if 0.0 < blocks.damping < _LEAST_DAMPING:
+        said = f"must be 0 or at least {_LEAST_DAMPING:g}"
+        raise InputError(f"damping = {blocks.damping:g}: {said}")
     if contacts == "rigid" and blocks.drive_stiffness:
         said = "must be 0 with rigid contacts"
         raise InputError(f"drive_stiffness = {blocks.drive_stiffness:g}: {said}")

@@ -177,13 +177,12 @@ def precursors(
 
 
 class _Law(NamedTuple):
-    """F(X) of contacts from a fresh start, beyond `reach` that of its end, and the work
-    W(X), in the user's units over n k; `size` is the mean threshold."""
+    """F(X) of contacts from a fresh start, beyond `reach` that of its end, in the user's
+    units over n k; `size` is the mean threshold."""
 
     size: float
     reach: float
     force: CubicSpline
-    work: CubicSpline
 
     def force_at(self, X: Array) -> Array:
         return np.asarray(self.force(np.minimum(X, self.reach)))
@@ -202,19 +201,7 @@ def _law_of(ensemble: Ensemble) -> _Law:
         raise InputError("thresholds: must not be discrete, whose force jumps")
     size = ensemble.thresholds.mean
     exact = transient(ensemble, Drive(1.0, _REACH * size), _POINTS)
-    force = CubicSpline(exact.X, exact.force)
-    return _Law(size, float(exact.X[-1]), force, force.antiderivative())
-
-
-def edge_force(ensemble: Ensemble, coupling: float, X: Array) -> Array:
-    """Force F/(n k) (length) on the edge of a half infinite chain, a continuum of
-    infinitely many contacts, whose edge has moved by X (length, an array) from a fresh
-    start: sqrt(2 K W(X)) (derived). Where contacts have been renewed W = f_k X + G_c,
-    G_c = f_k^2 - E[xi^3]/(3 E[xi]) (uniform stiffness), minus the variance of a
-    contact's stretch. A chain needs about F(X)/2 more. Raises InputError for heat,
-    delay, aging and discrete thresholds."""
-    require_number("coupling", coupling, above=0.0, most=1e9)
-    return np.sqrt(2.0 * coupling * np.asarray(_law_of(ensemble).work(X)))
+    return _Law(size, float(exact.X[-1]), CubicSpline(exact.X, exact.force))
 
 
 def static_friction(ensemble: Ensemble, length: float) -> float:

@@ -599,9 +599,6 @@ def advanced(
     return BlockState(after, kept, block.rate, stiffness)
 
 
-begin_block, advanced_block = kernel(begun), kernel(advanced)
-
-
 class Kinds(NamedTuple):
     """Contacts of a kind behind one slider, their path and means in units of their law;
     that unit over the slider's, and their shares of the number and of the stiffness of

@@ -104,7 +104,7 @@ def lifetime(ensemble: Ensemble, drive: Programme, *, points: int = 201) -> Life
     t = drive.grid(points).t
     mean, std = moments(chain)
     known = (Estimate(x, x * _RELATIVE_ERROR, 0) for x in (mean, std))
-    return Lifetime(t, survival(chain, t, mean, std), *known)
+    return Lifetime(t, survival_of_chain(chain, t, mean, std), *known)
 
 
 def chain_of(ensemble: Ensemble, drive: Programme) -> Chain:
@@ -166,7 +166,7 @@ def moments(chain: Chain) -> tuple[float, float]:
         return float(mean), float(variance.sqrt())
 
 
-def survival(chain: Chain, t: Array, mean: float, std: float) -> Array:
+def survival_of_chain(chain: Chain, t: Array, mean: float, std: float) -> Array:
     """P(lifetime > t), shape (times,), of a chain whose lifetime has this mean and
     standard deviation. With S its Laplace transform is (1 - S)/p, and with psi_n = 1 -
     E[exp(-p t_n)]

@@ -3,7 +3,8 @@ are still in step.
 
 Runs, fits and the exact mean use this definition: the first of the maxima within four
 rms thresholds that are as high as the highest one within errors; or the highest point
-within half an rms threshold after it. It is not the largest force of a run, which may
+within half an rms threshold after it. Of contacts without thresholds the mean travel of
+a life is in the place of the rms threshold. The peak is not the largest force of a run, which may
 be a later maximum of contacts in step, by rounding or by chance.
 """
 
@@ -13,13 +14,16 @@ from typing import NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError
-from eqsim.estimate import Estimate
-from eqsim.master.transient import Transient, transient
+from eqsim.estimate import Estimate, known
+from eqsim.laws.no_thresholds import NoThresholds
+from eqsim.master.programme import Transient
+from eqsim.master.steady import reference
+from eqsim.master.transient import transient
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.tables import Array
 
-# Rms thresholds over which the peak is sought.
+# Rms thresholds, or travels of a life, over which the peak is sought.
 PEAK_WINDOW = 4.0
 # Points of the mean within the window.
 _POINTS_OF_PEAK = 401
@@ -51,6 +55,15 @@ class Peak(NamedTuple):
 
     X: Estimate
     force: Estimate
+
+
+def period_of(ensemble: Ensemble, velocity: float) -> float:
+    """Displacement in which contacts in step break: the rms threshold, or the mean travel
+    of a life without thresholds. Raises InputError where `reference` does."""
+    law = ensemble.thresholds
+    if not isinstance(law, NoThresholds):
+        return law.rms
+    return known(reference(ensemble, Drive(velocity)).travel)
 
 
 def top_of(X: Array, force: Array, error: Array, period: float) -> int:
@@ -97,7 +110,12 @@ class Missed(NamedTuple):
 
 
 def missed_by(
-    ensemble: Ensemble, X: Array, force: Array, top: int, unsure: float = 0.0
+    ensemble: Ensemble,
+    period: float,
+    X: Array,
+    force: Array,
+    top: int,
+    unsure: float = 0.0,
 ) -> Missed:
     """Bound what `vertex` misses of the peak at point `top` of arrays (points,).
 
@@ -105,8 +123,8 @@ def missed_by(
     between points do so above the higher one by less than the slope of either times a
     cell, and by less than half a third difference (derived; all of it is quoted). In the
     cell where they meet points differ by less than that, hence the cell beyond it
-    counts, too. The peak may be any other maximum, up to half an rms threshold later,
-    that is as high within this and an error `unsure` of the difference of two maxima.
+    counts, too. The peak may be any other maximum, up to half a `period` later, that is
+    as high within this and an error `unsure` of the difference of two maxima.
     """
     thirds = np.abs(np.diff(force[max(top - 2, 0) : top + 3], 3)).max(initial=0.0)
     law, delay = ensemble.thresholds, ensemble.delay
@@ -120,7 +138,7 @@ def missed_by(
     missed = np.minimum(before, beyond)
     is_rival = (rises[:-1] >= 0.0) & (rises[1:] <= 0.0)
     is_rival &= force + missed >= force[top] - unsure
-    is_rival &= X[top] + 0.5 * law.rms >= X
+    is_rival &= X[top] + 0.5 * period >= X
     apart = np.abs(X - X[top])[is_rival].max(initial=0.0)
     missed[top] = min(missed[top], thirds)
     return Missed(float(X[1] - X[0] + apart), float(missed[top]))
@@ -131,7 +149,7 @@ def first_peak(ensemble: Ensemble, velocity: float) -> Peak:
     rms thresholds, and again on finer cells up to a peak that these do not resolve,
     with errors that bound those of the solver. Raises InputError where
     `eqsim.transient` does, and where the force rises without a peak."""
-    period = ensemble.thresholds.rms
+    period = period_of(ensemble, velocity)
     exact = transient(ensemble, Drive(velocity, PEAK_WINDOW * period), _POINTS_OF_PEAK)
     X, force = exact.X, exact.force
     alike = np.minimum(exact.force_error, _ALIKE * force.max())
@@ -139,7 +157,7 @@ def first_peak(ensemble: Ensemble, velocity: float) -> Peak:
     falls = 0 < top < X.size - 1 and force[top] - force[top:].min() > alike[top]
     beside = _CELLS_BESIDE * float(X[1])
     if falls and (top < _FEW_POINTS or unevenness(force, top) > _ROUND):
-        distance = float(X[top] + 2.0 * X[1]) + _missed(ensemble, exact, top).X
+        distance = float(X[top] + 2.0 * X[1]) + _missed(ensemble, period, exact, top).X
         exact = transient(ensemble, Drive(velocity, distance), _POINTS_IF_NARROW)
         X, force = exact.X, exact.force
         top = int(np.argmax(force))
@@ -148,17 +166,17 @@ def first_peak(ensemble: Ensemble, velocity: float) -> Peak:
     if not falls:
         raise InputError("the force rises without a first peak")
     place, height = vertex(X, force, top)
-    missed = _missed(ensemble, exact, top)
+    missed = _missed(ensemble, period, exact, top)
     error = _error_before(exact, top) + missed.force
     return Peak(Estimate(place, beside + missed.X, 0), Estimate(height, error, 0))
 
 
-def _missed(ensemble: Ensemble, exact: Transient, top: int) -> Missed:
+def _missed(ensemble: Ensemble, period: float, exact: Transient, top: int) -> Missed:
     """`missed_by` of exact means. Heights of two maxima are unsure by both their
     errors, or by what blurs the largest jump."""
     blurred = _BLURRED * float(np.abs(np.diff(exact.force)).max())
     unsure = min(2.0 * _error_before(exact, top), blurred)
-    return missed_by(ensemble, exact.X, exact.force, top, unsure)
+    return missed_by(ensemble, period, exact.X, exact.force, top, unsure)
 
 
 def _error_before(exact: Transient, top: int) -> float:

@@ -106,9 +106,9 @@ class Profile:
     """
 
     def __init__(self, contacts: Reduced) -> None:
+        self._stretched = contacts.newborn.active
         self.jumps = has_jumps(contacts.law) and (
-            not contacts.newborn.active
-            or isinstance(law_of_births(contacts), DeltaBirths)
+            not self._stretched or isinstance(law_of_births(contacts), DeltaBirths)
         )
         fluctuating = isinstance(contacts.aging, Langevin)
         smooth = _COARSE_SPLINE if fluctuating else _SMOOTH
@@ -203,11 +203,20 @@ class Profile:
         of contacts born unstretched), power and j = 0, 1, 2, shape (3, n): with power 0
         S, k1 and k2, with power 1 and j = 1 the mean force m."""
         found, _ = self._evaluated(self._values[:, 3 * power : 3 * power + 3], x)
-        return np.asarray(np.where(x < self._last, found, 0.0))
+        return np.asarray(
+            np.where(x < self._last, found, 0.0) * self._shorter(x, power)
+        )
 
     def integral(self, x: Array, power: int) -> Array:
         """The integral of that from 0 to x, shape (3, n)."""
         rows = slice(3 * power, 3 * power + 3)
         inside, panel = self._evaluated(self._integrals[:, rows], x)
         before = self._start[rows, None] * np.minimum(x, self._first)
+        if not self._stretched:
+            before = before / (power + 1.0) * self._shorter(x, power)
         return np.asarray(self._sums[rows, panel] + inside + before)
+
+    def _shorter(self, x: Array, power: int) -> Array:
+        """Factor of z^power of contacts born unstretched, before all panels."""
+        shorter = np.minimum(x / self._first, 1.0) ** power
+        return np.ones_like(x) if self._stretched else np.asarray(shorter)

@@ -334,7 +334,7 @@ def critical_stiffness(pulled: SteadyPull) -> Estimate:
     return Estimate(stiffness, error, 0, None, reliable)
 
 
-def border(
+def critical_stiffnesses(
     pulled: SteadyPull,
     velocities: Sequence[float],
     *,

@@ -28,8 +28,9 @@ _PUBLISHED = "published master equation"
 _JOINT = "joint kinetic equation"
 # Slowest motor, over its velocity without a load.
 _SLOWEST = 1e-12
-# Velocities, four in a decade, between which there is one steady velocity, or none.
-_LOOKS = 49
+# Velocities in a decade, between which there is one steady velocity, or none, unless
+# forces are closest to a balance there.
+_LOOKS = 4
 
 
 @dataclass(frozen=True, repr=False)
@@ -183,9 +184,27 @@ def _behind_motor(ensemble: Ensemble, drive: Programme, variance: bool) -> Refer
         v = math.exp(log_v) * u
         return v / u - 1.0 + known(reference(ensemble, Drive(v)).friction) / s
 
-    log_v = np.linspace(math.log(_SLOWEST), 0.0, _LOOKS)
+    fastest = 1.0
+    while excess(math.log(fastest)) < 0.0:  # births against the motion drive it, too
+        fastest *= 10.0
+    decades = math.log10(fastest / _SLOWEST)
+    log_v = math.log(10.0) * np.arange(-_LOOKS * round(decades), 1.0) / _LOOKS
+    log_v += math.log(fastest)
     v = np.exp(log_v)
-    above = v - 1.0 + curve(ensemble, v * u).friction / s >= 0.0
+    e = v - 1.0 + curve(ensemble, v * u).friction / s
+    # the least distance to a balance may lie between velocities
+    near = np.abs(e[1:-1]) < np.minimum(np.abs(e[2:]), np.abs(e[:-2]))
+    for i in 1 + np.flatnonzero(
+        near & (e[1:-1] * e[2:] > 0.0) & (e[1:-1] * e[:-2] > 0.0)
+    ):
+        side = math.copysign(1.0, e[i])
+        bounds = log_v[i - 1], log_v[i + 1]
+        least = optimize.minimize_scalar(
+            lambda x, side=side: side * excess(x), bounds=bounds, method="bounded"
+        )
+        log_v, e = np.append(log_v, least.x), np.append(e, side * least.fun)
+    order = np.argsort(log_v)
+    log_v, above = log_v[order], e[order] >= 0.0
     brackets = np.flatnonzero(above[1:] != above[:-1])
     roots = [
         math.exp(optimize.brentq(excess, log_v[i], log_v[i + 1], xtol=1e-14)) * u
@@ -195,12 +214,20 @@ def _behind_motor(ensemble: Ensemble, drive: Programme, variance: bool) -> Refer
     if not stable:
         said = f"friction stops the motor; it is larger down to {_SLOWEST:g} velocity"
         raise InputError(f"drive.stall_force = {s:g}: {said}")
-    found = reference(ensemble, Drive(stable[0]), variance=variance)
     x, h = math.log(stable[0] / u), 1e-4
+    slow, found, fast = (
+        reference(ensemble, Drive(math.exp(log) * u), variance=variance)
+        for log in (x - h, x, x + h)
+    )
     slope = abs(excess(x + h) - excess(x - h)) / (2.0 * h)
-    error = (found.friction.stderr or 0.0) / s / slope * stable[0]
-    velocity = Estimate(stable[0], error, 0)
-    return replace(found, velocity=velocity, roots=tuple(roots))
+    relative = (found.friction.stderr or 0.0) / s / slope
+    every: dict[str, Any] = {"velocity": Estimate(stable[0], relative * stable[0], 0)}
+    for name, value in found.estimates().items():
+        rise = [getattr(one, name).value for one in (slow, fast)]
+        if value.value is not None and not value.diverges and None not in rise:
+            missed = abs(rise[1] - rise[0]) / (2.0 * h) * relative
+            every[name] = replace(value, stderr=(value.stderr or 0.0) + missed)
+    return replace(found, **every, roots=tuple(roots))
 
 
 def _mixed(ensemble: Ensemble, drive: Drive, variance: bool) -> Reference:

@@ -35,7 +35,7 @@ from eqsim.laws.delay import Exponential, Fixed
 from eqsim.laws.no_thresholds import has_jumps
 from eqsim.master import programme, slider
 from eqsim.master.profile import Profile
-from eqsim.master.programme import Transient as Transient
+from eqsim.master.programme import Transient
 from eqsim.master.quenched import integrals_beyond
 from eqsim.master.steady import reference, settled
 from eqsim.model.drive import Drive, Programme, over_distance, require_drive
@@ -139,7 +139,7 @@ def transient(
     spread: tuple[Array | None, Array | None] = (None, None)
     s, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
     distance = drive.over(ensemble) / unit
-    require_number("distance / threshold", distance, least=1e-100, most=1e100)
+    require_number("distance / threshold", distance, least=1e-30, most=1e100)
     if drive.start == "stationary":
         return _level(ensemble, drive, points, variance)
     cells = cells_of(s, distance, points)
@@ -161,6 +161,10 @@ def transient(
         square, missed = _interpolated(X, edges, *_squares(cells, s, solved))
         missed += 2 * force * force_error
         spread = (square - force**2) * unit**2, missed * unit**2
+    if not s.newborn.active:  # all start pinned and unstretched
+        for known_at_first in (force_error, pinned_error, spread[1]):
+            if known_at_first is not None:
+                known_at_first[0] = 0.0
     return Transient(
         X=X * unit,
         force=force * unit,

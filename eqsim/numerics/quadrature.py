@@ -1,12 +1,17 @@
 """Quadrature, with tables of nodes that are each computed once, and extrapolation."""
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage, special
 
 from eqsim.numerics.tables import Array
+
+# How often panels are halved at most, and the number of them, to bound memory.
+_HALVINGS = 50
+_MOST_PANELS = 40_000
 
 
 class Rule(NamedTuple):
@@ -35,6 +40,42 @@ def gauss_legendre(count: int) -> Rule:
     nodes, weights = np.polynomial.legendre.leggauss(count)
     nodes.flags.writeable = weights.flags.writeable = False
     return Rule(nodes, weights)
+
+
+def halved(
+    panels: Callable[[Array, Array], Array], edges: Array, alike: float
+) -> tuple[float, float]:
+    """Integral between `edges` (n + 1,), and a bound of its error: `panels(low, high)`
+    integrates over panels, arrays (n,), by some rule, and panels are halved until the
+    halves of each agree with the whole to `alike`, absolute and relative to all.
+
+    Examples
+    --------
+    >>> rule = gauss_legendre(4)
+    >>> def panels(low, high):
+    ...     x, weights = rule.between(low, high)
+    ...     return (np.sqrt(x) * weights).sum(axis=-1)
+    >>> value, error = halved(panels, np.array([0.0, 1.0]), 1e-14)
+    >>> abs(value - 2.0 / 3.0) < error < 1e-12
+    True
+    """
+    low, high = edges[:-1], edges[1:]
+    whole = panels(low, high)
+    alike *= max(float(np.abs(whole).sum()), 1.0)
+    total = missed = 0.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        halves = np.array([panels(low, middle), panels(middle, high)])
+        apart = np.abs(halves.sum(axis=0) - whole)
+        unlike = apart > alike
+        total += float(halves[:, ~unlike].sum())
+        missed += float(apart[~unlike].sum())
+        low, middle, high = low[unlike], middle[unlike], high[unlike]
+        low, high = np.append(low, middle), np.append(middle, high)
+        whole = halves[:, unlike].ravel()
+        if not 0 < whole.size < _MOST_PANELS:
+            break
+    return total + float(whole.sum()), missed + float(apart[unlike].sum())
 
 
 def normal_exponent(z: Array) -> Array:

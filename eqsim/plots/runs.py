@@ -22,7 +22,7 @@ from eqsim.results import draw_band
 if TYPE_CHECKING:
     from eqsim.engine.records import ProgrammeTrajectory, SliderTrajectory, Trajectory
     from eqsim.engine.steady import Steady
-    from eqsim.master.transient import Transient
+    from eqsim.master.programme import Transient
     from eqsim.model.healing import Healing
 
 # A slider faster than so many times the stage has a logarithmic axis of velocity.

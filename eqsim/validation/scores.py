@@ -44,9 +44,10 @@ from eqsim.estimate import OBSERVABLES, Estimate, known, mean_of
 from eqsim.laws.aging import Aging
 from eqsim.laws.no_thresholds import has_jumps
 from eqsim.master.profile import Profile
+from eqsim.master.programme import Transient
 from eqsim.master.steady import reference, settled
 from eqsim.master.survivors import hazard_passed
-from eqsim.master.transient import Transient, fluctuations, transient
+from eqsim.master.transient import fluctuations, transient
 from eqsim.model.drive import Drive, Programme, Segment, Start
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import births, drag_of

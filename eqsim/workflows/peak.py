@@ -8,7 +8,15 @@ from eqsim.engine.readings import Forces, extreme
 from eqsim.engine.records import Trajectory
 from eqsim.estimate import Estimate, known
 from eqsim.laws.no_thresholds import has_jumps
-from eqsim.master.peak import PEAK_WINDOW, Missed, Peak, missed_by, top_of, vertex
+from eqsim.master.peak import (
+    PEAK_WINDOW,
+    Missed,
+    Peak,
+    missed_by,
+    period_of,
+    top_of,
+    vertex,
+)
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
 
@@ -22,7 +30,7 @@ def static_peak(ensemble: Ensemble, drive: Drive, run: Trajectory) -> Peak | Non
     None for a stationary start, which has no peak, and several kinds of contacts."""
     if drive.start == "stationary" or ensemble.populations:
         return None
-    period = ensemble.thresholds.rms
+    period = period_of(ensemble, drive.velocity)
     size = int(np.searchsorted(run.X, PEAK_WINDOW * period, side="right"))
     X, force, stderr = (
         column[:size] for column in (run.X, run.force, run.force_stderr)
@@ -40,7 +48,7 @@ def static_peak(ensemble: Ensemble, drive: Drive, run: Trajectory) -> Peak | Non
     missed = Missed(0.0, 0.0)
     if height == force[top]:  # no neighbours that are as high within errors
         where, height = vertex(X, force, top)
-        missed = missed_by(ensemble, X, force, top)
+        missed = missed_by(ensemble, period, X, force, top)
         noise = 2.0 * math.sqrt(2.0) * error  # of a difference
         if missed.force < noise and not has_jumps(ensemble.thresholds):
             missed = Missed(0.0, 0.0)

@@ -14,7 +14,7 @@ from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.export import RENAMED_COLUMNS
 from eqsim.io.runfile import stored
-from eqsim.master.stability import border, pulled_by
+from eqsim.master.stability import critical_stiffnesses, pulled_by
 from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked
 from eqsim.sweeps.scheduler import sweep
@@ -190,7 +190,9 @@ def _stability(origin: Origin, table: Table, _: int, progress: Progress) -> Tabl
     pulled = pulled_by(file.ensemble, file.drive)
     critical = bool(table["critical_stiffness"].notna().any())
     velocities = table["velocity"].tolist()
-    return border(pulled, velocities, critical=critical, progress=progress)
+    return critical_stiffnesses(
+        pulled, velocities, critical=critical, progress=progress
+    )
 
 
 def _validate(origin: Origin, _: Table, workers: int, progress: Progress) -> Table:

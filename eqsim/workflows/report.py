@@ -11,8 +11,8 @@ from eqsim.estimate import Estimate, difference
 from eqsim.io import labels, storage, terminal
 from eqsim.io.runfile import RunFile
 from eqsim.lazy import lazily
-from eqsim.master.programme import heat_is_idle
-from eqsim.master.transient import Transient, transient
+from eqsim.master.programme import Transient, heat_is_idle
+from eqsim.master.transient import transient
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import Listed, Physical, tell_quantities
 

@@ -30,8 +30,8 @@ from eqsim.master.avalanche_sizes import load_of, size_law
 from eqsim.master.bursts import bursts
 from eqsim.master.lifetimes import lifetime
 from eqsim.master.peak import Peak, first_peak
+from eqsim.master.programme import Transient
 from eqsim.master.steady import reference
-from eqsim.master.transient import Transient
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.healing import Healing, healing_law
 from eqsim.numerics.tables import Array

@@ -214,5 +214,5 @@ def stability(
     spread = _BORDER_DECADES * np.linspace(-1.0, 1.0, _BORDER_POINTS)
     velocities = (found.velocity * 10.0**spread).tolist()
     with bar("borders", "velocities") as progress:
-        border = solver.border(pulled, velocities, progress=progress)
-    return StabilityResult(file, found, border)
+        borders_at = solver.critical_stiffnesses(pulled, velocities, progress=progress)
+    return StabilityResult(file, found, borders_at)

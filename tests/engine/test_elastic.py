@@ -516,6 +516,23 @@ def test_size_law(load):
 
 
 @pytest.mark.parametrize(
+    ("edges", "shares"),
+    [([0.2, 0.6, 0.9, 1.4, 1.5], [1, 8, 1, 4]), ([0.2, 0.6, 0.9, 1.4], [5, 0, 9])],
+)
+def test_size_law_of_thresholds_with_kinks_and_gaps(edges, shares):
+    """Single breaks of a histogram in closed form, E[exp(-t)]."""
+    share = np.array(shares) / sum(shares)
+    low, high = np.array(edges[:-1]), np.array(edges[1:])
+    rate = 0.8 / (share @ (0.5 * (low + high)))
+    falls = np.exp(-rate * low) - np.exp(-rate * high)
+    law = Distribution(stats.rv_histogram((share, np.array(edges)), density=False))
+    found = size_law(law, 0.8, 1)[0]
+    assert found == pytest.approx(
+        share @ (falls / (rate * (high - low))), rel=1e-13, abs=0
+    )
+
+
+@pytest.mark.parametrize(
     ("load", "most", "said"),
     [(0.0, 1, "load = 0.0"), (2.0, 1, "load = 2.0"), (0.5, 0, "most = 0")],
 )

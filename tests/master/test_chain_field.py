@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from chain_field import Links, chain_field
 
 from eqsim import (
     Chain,
@@ -19,7 +20,6 @@ from eqsim import (
     chain_modes,
     transient,
 )
-from eqsim.master.chain_field import Links, chain_field
 
 WARM = Ensemble(
     Gamma(1.0),

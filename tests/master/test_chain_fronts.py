@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eqsim import InputError, front_prestress, front_speed
-from eqsim.master.chain_fronts import trapping_prestress
+from eqsim.master.chain_fronts import decay
 
 
 def chain(K, K_d, M, eta):
@@ -70,6 +70,18 @@ def test_fronts_faster_than_sound():
         assert 2.0 * fine - rough == pytest.approx(prestress, rel=0, abs=1e-4)
 
 
+def trapping_prestress(coupling, drive_stiffness=0.0, contacts="reattached"):
+    """Prestress below which a chain without inertia traps a front: stretches fall by z
+    at each block, a + 2 K = K (z + 1/z), a = 1 + K_d ahead, and behind "detached"
+    contacts with a = K_d; 0 without plate springs, as a force that does not fall breaks
+    any contacts in the end."""
+    ahead = 1.0 + drive_stiffness
+    if contacts == "reattached":
+        return 1.0 - 0.5 / ahead + 0.5 / math.sqrt(ahead**2 + 4.0 * ahead * coupling)
+    z_a, z_b = decay(coupling, ahead), decay(coupling, drive_stiffness)
+    return 1.0 / (1.0 + z_a * (1.0 - z_b) / ((1.0 - z_a * z_b) * drive_stiffness))
+
+
 def test_slow_fronts_are_trapped():
     assert trapping_prestress(20.0) == pytest.approx(5.0 / 9.0, rel=1e-12, abs=0)
     assert trapping_prestress(1.0) == pytest.approx(0.723607, rel=1e-6, abs=0)
@@ -77,7 +89,6 @@ def test_slow_fronts_are_trapped():
         slow = front_prestress(1e-2, **chain(20, 0.25, 0, 1), contacts=contacts).value
         least = trapping_prestress(20.0, 0.25, contacts=contacts)
         assert slow == pytest.approx(least, rel=4e-5, abs=0)
-    assert trapping_prestress(20.0, contacts="detached") == 0.0
 
 
 def followed(prestress, blocks, contacts, dt):
@@ -140,6 +151,7 @@ def test_fronts_of_blocks_followed_in_time(contacts, row):
         (lambda: front_prestress(2.0, 1.0, mass=1.0), "damping = 0: must be > 0 where"),
         (lambda: front_prestress(1.1, 1.0, mass=1.0, damping=1.0), "break again"),
         (lambda: front_prestress(1e-5, 1.0, damping=1.0), "trapped"),
+        (lambda: front_prestress(0.5, 1.0, damping=1e-200), "at least 1e-100"),
         (lambda: front_prestress(1.0, 1.0, damping=1.0, contacts="fast"), "contacts"),
         (
             lambda: front_speed(0.5, 1.0, damping=1.0, drive_stiffness=1.0, contacts="rigid"),
@@ -179,6 +191,48 @@ def test_fast_fronts_of_heavily_damped_blocks(speed, coupling, chain, contacts, 
     )
     assert abs(found.value - exact) <= found.stderr + 1e-13
     assert found.stderr < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("contacts", "blocks", "speed", "exact"),
+    [
+        ("reattached", chain(1, 0.1, 1, 1e-6), 0.7, 0.638761740251),
+        ("reattached", chain(1, 0.1, 1, 1e-12), 0.7, 0.638761518576),
+        ("reattached", chain(20, 0.5, 1, 1e-6), 3.9, 0.694888300904),
+        ("reattached", chain(100, 0, 1, 1e-5), 8.0, 0.503210906287),
+        ("detached", chain(8, 0.3, 2, 1e-6), 1.1, 0.485914205237),
+        ("rigid", chain(1, 0, 1, 1e-6), 1.3, 0.638971239677),
+        ("rigid", chain(20, 0, 1, 1e-6), 6.0, 0.666666699216),
+    ],
+)
+def test_fronts_of_weakly_damped_blocks(contacts, blocks, speed, exact):
+    """Against panels along the real axis that halve towards each root of Re Lam and of
+    its derivative, to 12 digits; extrapolated to no damping for that of 1e-12."""
+    found = front_prestress(speed, **blocks, contacts=contacts)
+    assert abs(found.value - exact) <= found.stderr + 5e-13
+    assert found.stderr < 2e-11
+    back = front_speed(found.value, **blocks, contacts=contacts)
+    assert back.value == pytest.approx(speed, rel=1e-9, abs=0)
+
+
+@pytest.mark.parametrize("contacts", ["detached", "rigid"])
+@pytest.mark.parametrize(("speed", "coupling"), [(1.3, 1.0), (9.0, 20.0)])
+def test_weakly_damped_fronts_have_the_undamped_limit(contacts, speed, coupling):
+    """The damping of 1e-12 shifts them by less than 1e-11, in proportion to it."""
+    blocks = {"coupling": coupling, "mass": 1.0, "contacts": contacts}
+    exact = front_prestress(speed, **blocks).value
+    for damping in (1e-12, 1e-80):
+        found = front_prestress(speed, **blocks, damping=damping)
+        assert abs(found.value - exact) <= found.stderr + 1e-11
+
+
+def test_a_resonance_that_begins_has_an_error():
+    """Where the wave's frequency is a double root of Re Lam: against panels along the
+    real axis, whose rounding is 1e-10."""
+    speed = 0.9810198819672862 * (1.0 - 1e-8)
+    found = front_prestress(speed, **chain(20, 0.5, 1, 1e-6))
+    assert abs(found.value - 7.21604078679) <= found.stderr + 5e-10
+    assert found.stderr < 1e-8
 
 
 def test_a_front_that_is_all_but_trapped_has_an_error():

@@ -256,6 +256,24 @@ def of_two(x):
     return (np.array(born) * since * share).sum(axis=-1)
 
 
+@pytest.mark.parametrize("law", ["sqrt", "uniform"])
+@pytest.mark.parametrize("distance", [2e-30, 1e-18, 1e-15])
+def test_transients_over_next_to_nothing(law, distance):
+    """The force is E[k_i/k] X, with E[xi]/xi_rms = 0.94 of the sqrt law."""
+    found = transient(Ensemble(stiffness_law=law), Drive(VELOCITY, distance), 3)
+    mean = Gamma().mean / Gamma().rms if law == "sqrt" else 1.0
+    assert found.force[1:] == pytest.approx(mean * found.X[1:], rel=1e-7, abs=0)
+
+
+def test_the_force_of_a_fresh_start_is_known():
+    """Also where cells are so long that many contacts break in the first one."""
+    contacts = Ensemble(delay=Delay(1.0))
+    found = transient(contacts, Drive(VELOCITY, 1e5), 3, variance=True)
+    assert (found.force[0], found.pinned[0]) == (0.0, 1.0)
+    assert (found.force_error[0], found.pinned_error[0]) == (0.0, 0.0)
+    assert found.force_variance_error[0] == 0.0 < found.force_error[1]
+
+
 def test_transients_and_fluctuations_of_two_thresholds():
     """Sums over the births of whole steps, at places that are no edges of cells; spread
     evenly over cells births were off by up to a third of one, and errors were 1e-11."""

@@ -22,7 +22,7 @@ from eqsim import (
     Thermal,
     lifetime,
 )
-from eqsim.master.lifetimes import Chain, chain_of, moments, survival
+from eqsim.master.lifetimes import Chain, chain_of, moments, survival_of_chain
 
 
 def creep(force, time=50.0):
@@ -90,7 +90,7 @@ def test_survival_is_the_exponential_of_the_chain(N, F, g):
     mean, std = moments(cluster)
     t = mean * np.array([0.0, 1e-3, 0.1, 0.5, 1.0, 2.0, 10.0])
     expected = [linalg.expm(rates * each)[-1].sum() for each in t]
-    found = survival(cluster, t, mean, std)
+    found = survival_of_chain(cluster, t, mean, std)
     assert found == pytest.approx(np.array(expected), rel=0, abs=1e-9)
     # the integrals of S and 2 t S
     inverse = np.linalg.inv(rates)
@@ -103,7 +103,7 @@ def test_narrow_law_of_many_contacts():
     """1000 breaks at equal rates: a gamma law, 3 % wide."""
     cluster = Chain(np.zeros(1000), np.zeros(1000))
     t = np.array([800.0, 970.0, 1000.0, 1040.0, 3000.0])
-    found = survival(cluster, t, *moments(cluster))
+    found = survival_of_chain(cluster, t, *moments(cluster))
     assert found == pytest.approx(stats.gamma(1000).sf(t), rel=0, abs=1e-9)
 
 
@@ -174,7 +174,7 @@ def test_clusters_broken_one_by_one(again):
     assert np.std(time) == pytest.approx(std, rel=4.5 * 2.0 / math.sqrt(count), abs=0)
     t = np.quantile(time, np.linspace(0.02, 0.98, 25))
     seen = 1.0 - np.linspace(0.02, 0.98, 25)
-    off = np.abs(survival(cluster, t, mean, std) - seen).max()
+    off = np.abs(survival_of_chain(cluster, t, mean, std) - seen).max()
     assert off < stats.kstwobign.isf(1e-5) / math.sqrt(count)
     harder = creep(0.306)
     cluster = chain_of(ensemble, harder)._replace(pinned_again=cluster.pinned_again)

@@ -14,6 +14,7 @@ from eqsim import (
     Ensemble,
     Gamma,
     InputError,
+    Newborn,
     NoThresholds,
     Programme,
     Segment,
@@ -85,7 +86,9 @@ def test_balance_of_motor_and_friction(kT):
     assert v == pytest.approx(
         0.5 * (1.0 - found.friction.value / 1.5), rel=1e-12, abs=0
     )
-    assert found.friction == reference(contacts, Drive(v)).friction
+    alone = reference(contacts, Drive(v))
+    assert found.friction.value == alone.friction.value
+    assert found.friction.stderr >= alone.friction.stderr
 
 
 def test_several_steady_velocities():
@@ -99,6 +102,36 @@ def test_several_steady_velocities():
     for v in found.roots:
         balance = v / 3.0 + curve(contacts, [v]).friction[0] / 0.9
         assert balance == pytest.approx(1.0, rel=1e-8, abs=0)
+
+
+@pytest.mark.parametrize("s", [0.01, 1.0])
+def test_births_against_the_motion_drive_a_motor(s):
+    """Contacts that are born at -1 drive it beyond its velocity without a load, F =
+    (2/3) (2 v - 1)."""
+    u, births = 0.01, Newborn("delta", "length", stretch=-1.0)
+    found = reference(dataclasses.replace(CONSTANT, newborn=births), motor(u, s))
+    v = u * (1.0 + 2.0 / 3.0 / s) / (1.0 + u * 4.0 / 3.0 / s)
+    assert found.velocity.value == pytest.approx(v, rel=1e-9, abs=0)
+    assert found.friction.value == pytest.approx(
+        2.0 / 3.0 * (2.0 * v - 1.0), rel=1e-9, abs=0
+    )
+
+
+@pytest.mark.parametrize("more", [1e-3, 1e-7])
+def test_two_velocities_that_are_almost_one(more):
+    """Slightly above the least stall force at which forces balance, 0.396110206870 of
+    these contacts, at 1.27855. There the error of the velocity is larger, and so is that
+    of the friction: u - v and F are in proportion."""
+    contacts = Ensemble(Gamma(), Thermal(0.05), Delay(3.0))
+    s = 0.396110206870 * (1.0 + more)
+    found = reference(contacts, motor(3.0, s))
+    slow, fast = found.roots
+    assert slow < 1.2785527 < fast < slow * (1.0 + 4.0 * math.sqrt(more))
+    assert found.velocity.value == fast
+    assert found.friction.stderr >= found.velocity.stderr * s / 3.0
+    assert (
+        found.friction.stderr > 5.0 * reference(contacts, Drive(fast)).friction.stderr
+    )
 
 
 @pytest.mark.verification

@@ -35,7 +35,7 @@ from eqsim import (
 )
 from eqsim.laws.named import Lognormal, Normal, Pareto, Uniform
 from eqsim.master import characteristic
-from eqsim.master.stability import border, critical_stiffness, pulled_by
+from eqsim.master.stability import critical_stiffness, critical_stiffnesses, pulled_by
 from eqsim.model.reduced import pull_of, reduced
 from eqsim.model.slip import least_slip
 
@@ -791,16 +791,18 @@ def test_errors(ensemble, programme, said):
 
 
 def test_border_over_velocity():
-    found = border(pulled_by(contacts(tau=1.0), pulled(0.1)), [0.1, 1.0])
+    found = critical_stiffnesses(pulled_by(contacts(tau=1.0), pulled(0.1)), [0.1, 1.0])
     assert found["critical_stiffness"] == pytest.approx(
         np.array([0.14169, 0.91300]), abs=1e-5
     )
     assert np.all(found["fresh_critical_stiffness"] > 0.17)
-    fresh = border(pulled_by(contacts(tau=1.0), pulled(0.1)), [0.1], critical=False)
+    fresh = critical_stiffnesses(
+        pulled_by(contacts(tau=1.0), pulled(0.1)), [0.1], critical=False
+    )
     assert np.isnan(fresh["critical_stiffness"][0])
     assert fresh["fresh_critical_stiffness"][0] == found["fresh_critical_stiffness"][0]
     with pytest.raises(InputError, match="velocity = "):
-        border(pulled_by(contacts(tau=1.0), pulled(0.1)), [0.0])
+        critical_stiffnesses(pulled_by(contacts(tau=1.0), pulled(0.1)), [0.0])
 
 
 RUN = """

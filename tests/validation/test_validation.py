@@ -34,7 +34,6 @@ from eqsim.estimate import OBSERVABLES, mean_of, z_score
 from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.no_thresholds import NoThresholds
-from eqsim.master import avalanche_sizes
 from eqsim.master.transient import transient
 from eqsim.validation import (
     columns,
@@ -767,7 +766,7 @@ def test_avalanches_know_the_stiffness_that_shares_the_force(monkeypatch):
         return passes(made(itertools.chain.from_iterable(found)))
 
     assert verdicts() == {"avalanche": True, "single break": True}
-    monkeypatch.setattr(avalanche_sizes, "shared_stiffness", lambda *_: 1.0)
+    monkeypatch.setattr(pulled, "load_of", lambda _, kappa, *__: 1.0 / (1.0 + kappa))
     assert verdicts() == {"avalanche": False, "single break": False}
 
 

@@ -16,11 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from eqsim.errors import InputError, require_number
-from eqsim.master.cohorts import History, advanced_block, begin_block
+from eqsim.master.cohorts import History, advanced, begun
 from eqsim.master.slider import task_of
 from eqsim.model.drive import Programme
 from eqsim.model.ensemble import Ensemble
+from eqsim.numerics.compiled import kernel
 from eqsim.numerics.tables import Array
+
+begin_block, advanced_block = kernel(begun), kernel(advanced)
 
 # Error of F in a step, in typical thresholds, at which r has been found.
 _AGREED = 1e-7
