@@ -20,6 +20,7 @@ import numpy as np
 from scipy import special
 
 from eqsim.errors import require_integer, require_number
+from eqsim.estimate import Estimate
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import ThresholdLaw
 from eqsim.numerics.quadrature import gauss_legendre
@@ -91,6 +92,23 @@ def missed_by_few(
     change = t - 0.5 * t * t - load * t / (1.0 - load)
     single = float(np.sum(weight * np.exp(-t) * change)) / contacts
     return FewContacts(1.0 / begins - 1.0 / (1.0 - load), single)
+
+
+def averages_of_few(
+    law: ThresholdLaw, load: float, contacts: int
+) -> dict[str, Estimate]:
+    """Breaks per avalanche, "size", and the fraction of "single" breaks, of infinitely
+    many contacts of uniform stiffness, with the change for n = `contacts` on one spring
+    as error. None of a discrete law, whose equal thresholds break together from a fresh
+    start on."""
+    if law.steps.size:
+        return {}
+    few = missed_by_few(law, load, contacts)
+    alone = float(size_law(law, load, 1)[0])
+    return {
+        "size": Estimate(1.0 / (1.0 - load), abs(few.mean), 0),
+        "single": Estimate(alone, abs(few.single), 0),
+    }
 
 
 def nodes_of(law: ThresholdLaw, each: int) -> tuple[Array, Array]:
