@@ -75,11 +75,11 @@ def healing_law(hold: Array, healing: Array, stderr: Array) -> Healing | None:
         return None
     # the cutoff by its logarithm, which is positive
     steep = math.copysign(float(np.ptp(y)), y.sum()) / math.log10(t.max() / t.min())
+    start = steep, math.log(np.median(t))
 
     def law(hold: Array, rate: float, log_cutoff: float) -> Array:
         return _law(hold, rate, math.exp(np.clip(log_cutoff, *_LOG_CUTOFF)))
 
-    start = steep, math.log(np.median(t))
     with warnings.catch_warnings():
         # a cutoff without an end has infinite errors
         warnings.simplefilter("ignore", optimize.OptimizeWarning)

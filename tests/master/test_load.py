@@ -80,6 +80,8 @@ def test_rates_by_closed_form():
     assert np.diff(grid.t[grid.segment == 2]) == pytest.approx(
         3.0 / 20, rel=1e-9, abs=0
     )
+    run = trajectory(EQUAL, moves, points=61)
+    assert np.abs(run.pinned - 1.0).max() < 1e-12
 
 
 def test_a_step_up_after_one_down():
