@@ -23,6 +23,7 @@ from eqsim.errors import require_integer, require_number
 from eqsim.estimate import Estimate
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import ThresholdLaw
+from eqsim.model.elastic import Elastic
 from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
@@ -94,19 +95,19 @@ def missed_by_few(
     return FewContacts(1.0 / begins - 1.0 / (1.0 - load), single)
 
 
-def averages_of_few(
-    law: ThresholdLaw, load: float, contacts: int
+def averages_of_blocks(
+    law: ThresholdLaw, blocks: Elastic, count: int
 ) -> dict[str, Estimate]:
-    """Breaks per avalanche, "size", and the fraction of "single" breaks, of infinitely
-    many contacts of uniform stiffness, with the change for n = `contacts` on one spring
-    as error. None of a discrete law, whose equal thresholds break together from a fresh
-    start on."""
+    """Breaks per avalanche of coupled blocks, "size", and the fraction of "single"
+    breaks, of infinitely many contacts of uniform stiffness; the error is the change for
+    those of one block alone, of `count` in all. None of a discrete law, whose equal
+    thresholds break together from a fresh start on."""
     if law.steps.size:
         return {}
-    few = missed_by_few(law, load, contacts)
-    alone = float(size_law(law, load, 1)[0])
+    few = missed_by_few(law, blocks.branching, blocks.contacts_per_block(count))
+    alone = float(size_law(law, blocks.branching, 1)[0])
     return {
-        "size": Estimate(1.0 / (1.0 - load), abs(few.mean), 0),
+        "size": Estimate(blocks.mean_size, abs(few.mean), 0),
         "single": Estimate(alone, abs(few.single), 0),
     }
 

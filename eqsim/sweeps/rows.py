@@ -20,7 +20,7 @@ from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate, mean_of, z_score
-from eqsim.master.avalanche_sizes import averages_of_few
+from eqsim.master.avalanche_sizes import averages_of_blocks
 from eqsim.master.steady import reference
 from eqsim.master.transient import transient
 from eqsim.model.drive import Drive, Programme
@@ -127,8 +127,7 @@ def _elastic(task: Task, drive: Drive | Programme, options: RowCells) -> RowCell
     exact = dict[str, Estimate]()
     if isinstance(drive, Drive) and not blocks.follows_events(ensemble.thermal.active):
         rigid = reference(ensemble, replace(drive, elastic=None))
-        contacts = blocks.contacts_per_block(ensemble.count)
-        exact = averages_of_few(ensemble.thresholds, blocks.branching, contacts)
+        exact = averages_of_blocks(ensemble.thresholds, blocks, ensemble.count)
         row["reference_method"], exact["friction"] = rigid.method, rigid.friction
     for name in ("friction", "size", "single"):
         row |= _filled(name, getattr(run, name), exact.get(name))

@@ -13,7 +13,7 @@ from eqsim.estimate import Estimate, difference
 from eqsim.io.runfile import RunFile
 from eqsim.io.states import kept
 from eqsim.lazy import lazily
-from eqsim.master.avalanche_sizes import averages_of_few, size_law
+from eqsim.master.avalanche_sizes import averages_of_blocks, size_law
 from eqsim.master.steady import reference
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.elastic import Elastic
@@ -85,14 +85,13 @@ class ElasticResult(SimulatedFile):
 
         Friction over displacement (length) is exact for any number of contacts. Breaks
         per avalanche and the fraction of single breaks are those of infinitely many
-        contacts (`master.avalanche_sizes.averages_of_few`).
+        contacts (`master.avalanche_sizes.averages_of_blocks`).
         """
         unknown = Estimate(None, None, 0, reliable=False)
         exact = {"friction": self.friction, "size": unknown, "single": unknown}
         if not self.in_time:
-            law, elastic = self.ensemble.thresholds, self.elastic
-            contacts = elastic.contacts_per_block(self.ensemble.count)
-            exact |= averages_of_few(law, elastic.branching, contacts)
+            law, count = self.ensemble.thresholds, self.ensemble.count
+            exact |= averages_of_blocks(law, self.elastic, count)
         run = self.trajectory
         return {name: (getattr(run, name), value) for name, value in exact.items()}
 
