@@ -58,7 +58,7 @@ class Estimate:
         if self.diverges:
             return "infinite"
         mark = "" if self.reliable else "  unreliable"
-        if not self.stderr or not math.isfinite(self.stderr):
+        if not self.stderr or not math.isfinite(self.value * self.stderr):
             return f"{self.value:.8g}{mark}"
         exponent = math.floor(math.log10(max(abs(self.value), self.stderr)))
         exponent = 0 if -4 < exponent < 6 or not self.value else exponent
@@ -146,12 +146,12 @@ class Averages(Result):
         if axes is None:
             axes = new_axes(figsize=(6.4, 0.9 + 0.75 * len(marks)))
             axes.set_yticks(range(len(marks)), marks)
-            axes.set_ylim(len(marks) - 0.5, -0.5)
+            axes.set_ylim(max(len(marks), 1) - 0.5, -0.5)
             axes.set_xlabel("value")
             if reference is not None:
                 axes.set_xlabel("difference from the reference  [standard errors]")
                 axes.axvspan(-2.0, 2.0, color="0.92", zorder=0)
-                limit = max(4.0, *(1.1 * abs(z) for z in values))
+                limit = max([4.0, *(1.1 * abs(z) for z in values)])
                 axes.set_xlim(-limit, limit)
         style = {"fmt": "o", "capsize": 3, **style}
         axes.errorbar(values, range(len(marks)), xerr=errors, **style)

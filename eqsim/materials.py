@@ -20,8 +20,10 @@ from scipy import constants
 
 from eqsim.errors import (
     NOT_NEGATIVE,
-    POSITIVE,
+    Checked,
     InputError,
+    NotNegative,
+    Positive,
     meant,
     require_choice,
     require_integer,
@@ -51,13 +53,9 @@ def _decimal(value: float) -> float:
 
 
 @dataclass(frozen=True)
-class _Arrhenius:
-    prefactor: float
-    energy: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_number("prefactor", self.prefactor, **POSITIVE)
-        require_number("energy", self.energy, **NOT_NEGATIVE)
+class _Arrhenius(Checked):
+    prefactor: Positive
+    energy: NotNegative = 0.0
 
     def _exponent(self, temperature: float) -> float:
         """E/(k_B T); infinite at T = 0."""

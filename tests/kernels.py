@@ -56,7 +56,7 @@ def compile_kernels(barrier, aging):
             0.0 if barrier == "mechanical" else 1.0,
             barrier="stiff" if barrier == "stiff" else "soft",
         ),
-        aging=Aging(aging, 0.1, 2.0),
+        aging=Aging() if aging == "none" else Aging(aging, 0.1, 2.0),
         count=64,  # as most tests have, at least: fewer are recorded one by one, by another kernel
         disorder="annealed" if barrier == "annealed" else "quenched",
     )

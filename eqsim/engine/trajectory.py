@@ -29,7 +29,7 @@ from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate
 from eqsim.model.drive import Drive, Output, Programme, over_distance, require_drive
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.load import births_of, under_load
+from eqsim.model.load import Added, births_of, under_load
 from eqsim.model.mixture import mixed_averages, summed
 from eqsim.model.reduced import drag_of
 from eqsim.numerics.streams import TRAJECTORY, seed_named
@@ -37,6 +37,13 @@ from eqsim.numerics.streams import key as key_of
 from eqsim.numerics.tables import Array
 
 _OF_LOAD = 1_000_000  # names streams of contacts that a load adds
+# Pieces into which a ramp of the load is divided, each adds contacts: in a life, at
+# least and at most.
+_PIECES_PER_LIFE, _FEWEST_PIECES, _MOST_PIECES = 4, 16, 200
+_MOST_FORCES = 50_000_000  # that are kept of all contacts ramps add, for memory
+_LEAST_ADDED = (
+    32  # contacts that are added at an instant and simulated, for their scatter
+)
 _UNCOUNTED = 1000  # lives, so few that exceeding `max_lives` by them does not matter
 # Variance in time of a stationary mean over its expectation: exceeded by chance once in
 # 2e6 runs at most (one degree of freedom).
@@ -56,8 +63,8 @@ def predicted_lives(
         # what a force lets go of lives once, and nobody knows before what it holds
         lives = 1.0 if drive.forced else sum(programme.cycles(ensemble, drive))
         if drive.loaded:
-            born = births_of(drive, 2)[1]
-            lives *= sum(float(births.weight.max()) for births in born)
+            born = _births(ensemble, drive, Output(2, replicas=replicas))[1]
+            lives *= sum(_added(ensemble, births) for births in born) / ensemble.count
         if drive.stage:
             lives += abs(drive.stage.preload or 0.0) / ensemble.thresholds.mean
         return ensemble.count * replicas * lives
@@ -66,6 +73,23 @@ def predicted_lives(
     stretch = typical_lives(c).travel
     mean = float(np.mean(np.minimum(stretch + c.delay.mean, distance)))
     return ensemble.count * replicas * (1.0 + distance / mean) if mean > 0 else math.inf
+
+
+def _births(
+    ensemble: Ensemble, drive: Programme, output: Output
+) -> tuple[Array, list[Added]]:
+    """Births under a load along a simulated record, several in a life, as far as memory
+    and time allow."""
+    most = _MOST_FORCES // (output.points * output.replicas)
+    most = min(max(most, _FEWEST_PIECES), _MOST_PIECES)
+    lives = programme.cycles(ensemble, drive)
+    wanted = [max(_PIECES_PER_LIFE * each, _FEWEST_PIECES) for each in lives]
+    return births_of(drive, output.points, [min(each, most) for each in wanted])
+
+
+def _added(ensemble: Ensemble, births: Added) -> int:
+    """Number of contacts that are simulated of those that are born together."""
+    return max(_LEAST_ADDED, round(ensemble.count * float(births.weight.max())))
 
 
 def check_run(
@@ -278,13 +302,13 @@ def _one_by_one(
             return replace(total, averages=Averages(**mixed))
     else:
         assert isinstance(drive, Programme)
-        _, born = births_of(drive, output.points)
+        load, born = _births(ensemble, drive, output)
         simulate(ensemble, born[0].programme, output.seed)
         for number, births in enumerate(born[1:]):
-            count = max(1, round(ensemble.count * float(births.weight.max())))
+            count = _added(ensemble, births)
             seed = seed_named(output.seed, _OF_LOAD, number)
             simulate(replace(ensemble, count=count), births.programme, seed)
-        total = under_load(born, runs)
+        total = under_load(load, born, runs)
     each = total.force_replicas
     parts = each if each is not None and len(each) >= programme.LEAST_PARTS else None
     forces = Forces(total.force, total.force_stderr, parts)

@@ -66,8 +66,8 @@ class Units:
     def __post_init__(self) -> None:
         for name in _BASES:
             label = getattr(self, name)
-            fits = len(label) <= _LONGEST and label == label.strip()
-            if not label.isprintable() or not fits:
+            word = isinstance(label, str) and label.isprintable()
+            if not word or len(label) > _LONGEST or label != label.strip():
                 said = f"must be a unit, such as {self._examples(name)}"
                 said += f", or a label of up to {_LONGEST} characters"
                 raise InputError(f"{name} = {shown(label)}: {said}")

@@ -45,8 +45,10 @@ _BROAD = 1.0
 _BROAD_NODES = np.linspace(-10.0, 16.0, 521)
 # |p| times the mean delay below which 1 - E[exp(-p delay)] would lose digits
 _NEAR_0 = 1e-3
-# activation over kT beyond which a delay of any unit has no end: exp(230) = 1e100
-_MOST_ACTIVATION = 230.0
+# delay (time) from which on it has no end
+_ENDLESS = 1e100
+# exponent of a factor from which on a delay of any unit has no end
+_MOST_EXPONENT = 700.0
 
 
 class _Mean(NamedTuple):
@@ -345,14 +347,18 @@ class Delay:
         return (getattr(self, name),) if name else ()
 
     def at(self, kT: float, velocity: float) -> "Delay":
-        """The delay at a temperature and a velocity, which depends on neither."""
-        time = self.time
-        if self.activation and time:
-            endless = self.activation > _MOST_ACTIVATION * kT
-            time *= math.inf if endless else math.exp(self.activation / kT)
-        if self.velocity_exponent and time < math.inf:
+        """The delay at a temperature and a velocity, which depends on neither; infinite
+        if it would be 1e100 or longer."""
+        time, exponent = self.time, 0.0
+        if self.activation:
+            exponent = self.activation / kT if kT else math.inf
+        if self.velocity_exponent:
             logs = math.log(velocity) - math.log(self.reference_velocity)
-            time *= math.exp(min(self.velocity_exponent * logs, _MOST_ACTIVATION))
+            exponent += self.velocity_exponent * logs
+        if exponent and time:
+            time *= math.exp(min(exponent, _MOST_EXPONENT))
+            if exponent > _MOST_EXPONENT or time >= _ENDLESS:
+                time = math.inf
         return Delay(time, self.law, self.shape, self.sigma)
 
     def reduced(self, velocity: float = 1.0, unit: float = 1.0) -> DelayLaw:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from scipy import special
 
-from eqsim.errors import POSITIVE, InputError, require_number
+from eqsim.errors import POSITIVE, InputError, require_number, shown
 from eqsim.laws.kinks import density_kinks
 from eqsim.numerics.compiled import routine
 from eqsim.numerics.quadrature import gamma_quantile, gauss_legendre
@@ -513,7 +513,11 @@ class Distribution(Smooth):
         if breakpoints is None:
             binned = isinstance(frozen, stats.rv_histogram)
             breakpoints = _bins(frozen) if binned else NO_STEPS
-        self.breakpoints = np.asarray(breakpoints, float)
+        try:
+            self.breakpoints = np.asarray(breakpoints, float)
+        except (TypeError, ValueError):
+            said = "must be numbers"
+            raise InputError(f"breakpoints = {shown(breakpoints)}: {said}") from None
 
     def _third_diverges(self) -> bool:
         """True if <xi^3> diverges, as far as SciPy knows the tail: an isf that fails is

@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
-from eqsim.errors import NOT_NEGATIVE, POSITIVE, require_number
+from eqsim.errors import Checked, Limits, NotNegative, Positive
 
 
 @dataclass(frozen=True)
-class Viscosity:
+class Viscosity(Checked):
     """How the drag of a detached contact depends on the velocity,
 
         f_l = force + eta v (v/reference_velocity)^(exponent - 1),
@@ -33,14 +34,9 @@ class Viscosity:
     16.0
     """
 
-    force: float = 0.0
-    exponent: float = 1.0
-    reference_velocity: float = 1.0
-
-    def __post_init__(self) -> None:
-        require_number("force", self.force, **NOT_NEGATIVE)
-        require_number("exponent", self.exponent, least=0.0, most=10.0)
-        require_number("reference_velocity", self.reference_velocity, **POSITIVE)
+    force: NotNegative = 0.0
+    exponent: Annotated[float, Limits(0.0, 10.0)] = 1.0
+    reference_velocity: Positive = 1.0
 
     def factor(self, v: float) -> float:
         """(v/reference_velocity)^(exponent - 1)."""

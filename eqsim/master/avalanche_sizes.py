@@ -20,8 +20,10 @@ import numpy as np
 from scipy import special
 
 from eqsim.errors import require_integer, require_number
+from eqsim.estimate import Estimate
 from eqsim.laws.stiffness import StiffnessLaw, relative_stiffness
 from eqsim.laws.threshold import ThresholdLaw
+from eqsim.model.elastic import Elastic
 from eqsim.numerics.quadrature import gauss_legendre
 from eqsim.numerics.tables import Array
 
@@ -86,6 +88,23 @@ def missed_by_few(
     change = t - 0.5 * t * t - load * t / (1.0 - load)
     single = float(np.sum(weight * np.exp(-t) * change)) / contacts
     return FewContacts(1.0 / begins - 1.0 / (1.0 - load), single)
+
+
+def averages_of_blocks(
+    law: ThresholdLaw, blocks: Elastic, count: int
+) -> dict[str, Estimate]:
+    """Breaks per avalanche of coupled blocks, "size", and the fraction of "single"
+    breaks, of infinitely many contacts of uniform stiffness; the error is the change for
+    those of one block alone, of `count` in all. None of a discrete law, whose equal
+    thresholds break together from a fresh start on."""
+    if law.steps.size:
+        return {}
+    few = missed_by_few(law, blocks.branching, blocks.contacts_per_block(count))
+    alone = float(size_law(law, blocks.branching, 1)[0])
+    return {
+        "size": Estimate(blocks.mean_size, abs(few.mean), 0),
+        "single": Estimate(alone, abs(few.single), 0),
+    }
 
 
 def nodes_of(law: ThresholdLaw, each: int) -> tuple[Array, Array]:

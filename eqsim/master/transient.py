@@ -124,9 +124,9 @@ def transient(
         mixed: Transient = summed(kinds, each)
         return mixed
     if isinstance(drive, Programme) and drive.loaded:
-        _, born = births_of(drive, points)
+        load, born = births_of(drive, points)
         each = [transient(ensemble, births.programme, points) for births in born]
-        loaded: Transient = under_load(born, each)
+        loaded: Transient = under_load(load, born, each)
         return loaded
     if isinstance(drive, Programme):
         grid = drive.grid(points)

@@ -1,6 +1,7 @@
 """Drives of the slider, and the recording of a run."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -272,6 +273,9 @@ class Programme(Checked):
     elastic: Elastic | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.segments, Iterable):
+            said = "must be a list of Segment(velocity, distance=... or time=...)"
+            raise InputError(f"programme = {shown(self.segments)}: {said}")
         object.__setattr__(self, "segments", tuple(self.segments))
         if not self.segments:
             raise InputError("programme = []: must have at least one segment")

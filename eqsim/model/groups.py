@@ -61,7 +61,7 @@ def _of_contacts(ensemble: Ensemble, v: float) -> Rows:
     annealed = ensemble.disorder == "annealed"
     two = "quenched: literal contacts; annealed: the published master equation"
     yield "disorder", ensemble.disorder, two
-    yield "x_star", unit, "unit of length: x_* of the threshold law, or its mean"
+    yield "x_star", unit, "unit of length: x_* or unit of the law, else its mean"
     barrier = BARRIERS[thermal.barrier]
     rate = barrier.numbers(thermal, ensemble.stiffness, unit)[1]
     name, said = "v/(omega x_*)", "velocity in x_* per attempt"

@@ -7,6 +7,7 @@ logarithmic.
 """
 
 import math
+import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from eqsim.estimate import Estimate
 from eqsim.numerics.tables import Array
 
 _FEWEST = 3  # holds, one more than the law has parameters
+_LOG_CUTOFF = -500.0, 500.0  # range of the logarithm of a cutoff that is found
 _UNLIKELY = 1e-3  # probability of a chi-square above which the law holds within errors
 
 
@@ -72,17 +74,21 @@ def healing_law(hold: Array, healing: Array, stderr: Array) -> Healing | None:
     if np.unique(t).size < _FEWEST:
         return None
     # the cutoff by its logarithm, which is positive
-    start = float(np.ptp(y)) / math.log10(t.max() / t.min()), math.log(np.median(t))
+    steep = math.copysign(float(np.ptp(y)), y.sum()) / math.log10(t.max() / t.min())
+    start = steep, math.log(np.median(t))
 
     def law(hold: Array, rate: float, log_cutoff: float) -> Array:
-        return _law(hold, rate, math.exp(min(log_cutoff, 500.0)))
+        return _law(hold, rate, math.exp(np.clip(log_cutoff, *_LOG_CUTOFF)))
 
-    try:
-        found = optimize.curve_fit(law, t, y, start, error, absolute_sigma=True)
-    except RuntimeError:
-        return None
+    with warnings.catch_warnings():
+        # a cutoff without an end has infinite errors
+        warnings.simplefilter("ignore", optimize.OptimizeWarning)
+        try:
+            found = optimize.curve_fit(law, t, y, start, error, absolute_sigma=True)
+        except RuntimeError:
+            return None
     (rate, log_cutoff), covariance = found
-    cutoff, dof = math.exp(min(log_cutoff, 500.0)), t.size - 2
+    cutoff, dof = math.exp(np.clip(log_cutoff, *_LOG_CUTOFF)), t.size - 2
     chi_square = float(np.sum(((y - _law(t, rate, cutoff)) / error) ** 2))
     wider = math.sqrt(max(chi_square / dof, 1.0))
     errors = wider * np.sqrt(np.diag(covariance))

@@ -1,8 +1,8 @@
 """Reduction of ensemble and drive to dimensionless numbers: the only place, for the
 engine and the reference alike.
 
-Lengths are in units of the threshold law's scale x_* (that of a gamma law, else the
-mean threshold), time is displacement at the velocity v, stiffness is in units of k and
+Lengths are in units of the threshold law's scale x_* (of a named law its x_* or unit,
+else the mean threshold), time is displacement at the velocity v, stiffness is in units of k and
 energy in units of kT. What a key of a run file is called afterwards, and where:
 
     thermal.kT                 b         k x_*^2/(2 kT)         barrier, `Ensemble.b`
@@ -156,7 +156,8 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
     speeds = {abs(segment.velocity) for segment in programme.segments}
     if programme.start == "stationary":
         speeds.add(programme.velocity or 0.0)
-    if ensemble.delay.velocity_exponent and (len(speeds) > 1 or programme.pulled):
+    several = len(speeds) > 1 or 0.0 in speeds
+    if ensemble.delay.velocity_exponent and (several or programme.pulled):
         raise InputError(
             f"delay.velocity_exponent = {ensemble.delay.velocity_exponent:g}: must be 0 "
             "with a stage, a hold, and segments of several velocities"

@@ -20,7 +20,7 @@ from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate, mean_of, z_score
-from eqsim.master.avalanche_sizes import missed_by_few, size_law
+from eqsim.master.avalanche_sizes import averages_of_blocks
 from eqsim.master.steady import reference
 from eqsim.master.transient import transient
 from eqsim.model.drive import Drive, Programme
@@ -123,21 +123,15 @@ def _elastic(task: Task, drive: Drive | Programme, options: RowCells) -> RowCell
     assert blocks
     run = elastic_trajectory(ensemble, drive, **options)
     reliable = run.friction.reliable and run.size.reliable
-    row, friction = _status(run.lives, [] if reliable else [_TOO_SHORT]), None
-    size = single = None
+    row = _status(run.lives, [] if reliable else [_TOO_SHORT])
+    exact = dict[str, Estimate]()
     if isinstance(drive, Drive) and not blocks.follows_events(ensemble.thermal.active):
-        exact = reference(ensemble, replace(drive, elastic=None))
-        row["reference_method"], friction = exact.method, exact.friction
-        law, branching = ensemble.thresholds, blocks.branching
-        if not law.steps.size:  # else they break together: no law of sizes is known
-            few = missed_by_few(
-                law, branching, blocks.contacts_per_block(ensemble.count)
-            )
-            size = Estimate(blocks.mean_size, abs(few.mean), 0)
-            alone = float(size_law(law, branching, 1)[0])
-            single = Estimate(alone, abs(few.single), 0)
-    row |= _filled("friction", run.friction, friction)
-    return row | _filled("size", run.size, size) | _filled("single", run.single, single)
+        rigid = reference(ensemble, replace(drive, elastic=None))
+        exact = averages_of_blocks(ensemble.thresholds, blocks, ensemble.count)
+        row["reference_method"], exact["friction"] = rigid.method, rigid.friction
+    for name in ("friction", "size", "single"):
+        row |= _filled(name, getattr(run, name), exact.get(name))
+    return row
 
 
 def _programme(
@@ -175,11 +169,15 @@ def _programme(
 
 
 def _late_force(run: SliderTrajectory | ChainTrajectory) -> RowCells:
-    """Columns of the mean force over the second half of a run, with its error from the
+    """Columns of the mean force over the second half of the time of a run, with its error from the
     scatter of replicas; none of a single one."""
     if run.force_replicas is None:
         return {}
-    each = run.force_replicas[:, run.t > 0.5 * run.t[-1]].mean(axis=1)
+    half = 0.5 * run.t[-1]
+    t = np.append(half, run.t[run.t > half])
+    forces = [np.interp(t, run.t, replica) for replica in run.force_replicas]
+    # records are denser in some segments than in others
+    each = np.trapezoid(forces, t) / half
     return _filled("friction", mean_of(each, each.size, each.size - 1))
 
 

@@ -13,7 +13,7 @@ from eqsim.estimate import Estimate, difference
 from eqsim.io.runfile import RunFile
 from eqsim.io.states import kept
 from eqsim.lazy import lazily
-from eqsim.master.avalanche_sizes import missed_by_few, size_law
+from eqsim.master.avalanche_sizes import averages_of_blocks, size_law
 from eqsim.master.steady import reference
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.elastic import Elastic
@@ -85,17 +85,14 @@ class ElasticResult(SimulatedFile):
 
         Friction over displacement (length) is exact for any number of contacts. Breaks
         per avalanche and the fraction of single breaks are those of infinitely many
-        contacts, with the change for a single block as error; none for a discrete law,
-        whose equal thresholds break together from a fresh start on.
+        contacts (`master.avalanche_sizes.averages_of_blocks`).
         """
-        run, elastic = self.trajectory, self.elastic
-        size = single = Estimate(None, None, 0, reliable=False)
-        if self.sizes.size:
-            contacts = elastic.contacts_per_block(self.ensemble.count)
-            few = missed_by_few(self.ensemble.thresholds, elastic.branching, contacts)
-            size = Estimate(elastic.mean_size, abs(few.mean), 0)
-            single = Estimate(float(self.sizes[0]), abs(few.single), 0)
-        exact = {"friction": self.friction, "size": size, "single": single}
+        unknown = Estimate(None, None, 0, reliable=False)
+        exact = {"friction": self.friction, "size": unknown, "single": unknown}
+        if not self.in_time:
+            law, count = self.ensemble.thresholds, self.ensemble.count
+            exact |= averages_of_blocks(law, self.elastic, count)
+        run = self.trajectory
         return {name: (getattr(run, name), value) for name, value in exact.items()}
 
     def summary(self) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Programmes from the command line: run, replay, sweep, plot, info, reference."""
 
 import json
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -134,6 +135,14 @@ def test_healing_is_fitted_by_its_logarithm():
     assert none <= 6
     assert not healing_law(t, 1e-3 * np.sqrt(t), error).logarithmic
     assert healing_law(t[:2], truth[:2], error[:2]) is None
+    for falls in (0.03 - 5e-3 * np.log10(t), 0.03 - 5e-3 * np.arange(7)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert healing_law(t, falls, error) is None
+    # contacts that weaken; least squares are searched for to some 1e-8
+    few = 10.0 ** np.arange(3), 0.01 * np.arange(1.0, 4.0), error[:3]
+    up, down = (healing_law(few[0], sign * few[1], few[2]) for sign in (1.0, -1.0))
+    assert down.rate.value == pytest.approx(-up.rate.value, rel=1e-6, abs=0)
 
 
 @pytest.mark.long  # 20 s: the default suite has to end in time on a machine that others use as well

@@ -3,6 +3,7 @@ sweeps, series and breaks."""
 
 import dataclasses
 import inspect
+import math
 import pydoc
 import re
 import subprocess
@@ -37,7 +38,7 @@ from eqsim import (
     trajectory,
     transient,
 )
-from eqsim.estimate import difference
+from eqsim.estimate import Averages, difference
 
 matplotlib.use("Agg")
 WARM = Ensemble(thermal=Thermal(0.1), count=500)
@@ -288,6 +289,13 @@ def test_pictures_of_averages(results):
     assert points.get_xdata()[0] == found.friction.value
     (low, _), (high, _) = bars.get_segments()[0]
     assert high - low == pytest.approx(4 * found.friction.stderr, rel=1e-9, abs=0)
+    without = {
+        name: dataclasses.replace(x, stderr=None)
+        for name, x in found.averages().items()
+    }
+    alone = Averages(**without).plot(reference=Averages(**without))
+    assert not alone.get_yticks().size
+    assert str(Estimate(math.nan, 1.0, 3)) == "nan"
     axes = found.plot(reference=exact)
     z = axes.containers[0][0].get_xdata()
     names = [label.get_text().partition("\n")[0] for label in axes.get_yticklabels()]

@@ -120,6 +120,7 @@ REFUSED = {
     "a cell too few": (text(put(PLAIN, 3, "0.7")), NAMES, "line 4: has 1 of 2 cells"),
     "an open quote": (text(put(PLAIN, 3, '0.7,"0.6')), NAMES, "line 4: '\"0.6' is no cell"),
     "a unit in a cell": (text(put(PLAIN, 3, "0.7,0.6 N")), NAMES, "line 4: mu = '0.6 N': must be a number"),
+    "dashes in the first row": (text(put(PLAIN, 1, "-,-")), NAMES, "line 2: time = '-': must be a number"),
     "thousands": (text(put(SEMI, 3, "1.234,5;0,6")), FRICTION,
         "line 4: Time = '1.234.5 (a point among"),
     "a point among commas": (text(put(SEMI, 3, "1;0.6")), FRICTION,

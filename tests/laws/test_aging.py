@@ -53,6 +53,8 @@ height, stretch, threshold_draw = map(compiled, (height, stretch, threshold_draw
             r"^x_star_final = inf",
         ),
         ({"x_star_final": None}, r"^x_star_final = None"),
+        ({"rate": 1.0, "x_star_final": 2.0}, '^rate: not allowed with rule = "none"'),
+        ({"beta": 0.1, "cutoff_time": 1}, '^beta: not allowed with rule = "none"'),
     ],
 )
 def test_aging_refuses(arguments, message):
@@ -117,7 +119,7 @@ def test_ensemble_refuses(aging, law, disorder, message):
 def test_what_may_age():
     """Bounds belong to what is allowed; without a rule nothing is asked."""
     for rule, rate, final, law, disorder in [
-        ("none", math.inf, 1e50, Delta(1.0), "quenched"),
+        ("none", 0.0, 1.0, Delta(1.0), "quenched"),
         ("langevin", math.inf, 1.0, Gamma(), "annealed"),
         ("flow", math.inf, 1e3, Gamma(), "quenched"),
         ("flow", 1.0, 1e-3, Gamma(1000.0), "annealed"),
@@ -132,9 +134,7 @@ def test_alpha():
     assert Aging("flow", 0.3, 2.0).alpha(0.5, 3.0) == pytest.approx(
         4 * 0.3 * 0.5 / (3.0 * 4.0), rel=1e-15, abs=0
     )
-    assert (
-        Aging("flow", 0.0).alpha(1.0, 1.0) == Aging("none", 1.0).alpha(1.0, 1.0) == 0.0
-    )
+    assert Aging("flow", 0.0).alpha(1.0, 1.0) == Aging().alpha(1.0, 1.0) == 0.0
     assert Aging("flow", math.inf).alpha(1.0, 1.0) == math.inf
     with pytest.raises(
         InputError, match=r"^4 rate x_star / \(velocity x_star_final\^2\) = "

@@ -314,6 +314,15 @@ def test_activation():
         == transient(endless, Drive(1.0, 2.0)).force.tolist()
     )
     assert Delay(activation=1.0).at(0.0, 1.0).time == 0.0
+    # a time of 1e100 and more has no end, whatever makes it so long
+    for law, kT, v in (
+        (Delay(1e3, activation=229.5), 1.0, 1.0),
+        (Delay(1e3, velocity_exponent=10.0), 0.0, 1e10),
+        (Delay(1e-3, activation=700.1), 1.0, 1.0),
+    ):
+        assert law.at(kT, v).time == math.inf
+    known = 1e-3 * math.exp(236.0)
+    assert Delay(1e-3, activation=236.0).at(1.0, 1.0).time == known
 
 
 def test_velocity_exponent():
@@ -329,9 +338,11 @@ def test_velocity_exponent():
         run, same = (trajectory(kind, drive, points=11) for kind in (contacts, plain))
         np.testing.assert_allclose(run.force, same.force, rtol=1e-12, atol=1e-15)
     assert Delay(1.0, velocity_exponent=10.0).at(0.0, 1e200).time > 1e99
+    assert Delay(1.0, velocity_exponent=-10.0).at(0.0, 1e200).time == 0.0
     for programme in (
         Programme(THERE_AND_BACK),
         Programme((*back, Segment(0.0, time=1.0))),
+        Programme([Segment(time=1.0)]),
         Programme(back, "stationary", 2.0 * speed),
         Programme(back[:1], stage=Stage(1.0)),
     ):

@@ -17,6 +17,7 @@ import sys
 import time
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -954,13 +955,23 @@ def test_a_motor_has_its_mean_friction_over_the_second_half():
     task = rows_module.Task(7, contacts, motor, 201, 8)
     [row] = rows_module.compute([task], Asked(), 1, RESULTS_VERSION)
     run = trajectory(contacts, motor, points=201, seed=7, replicas=8)
-    each = run.force_replicas[:, run.t > 10.0].mean(axis=1)
+    each = np.trapezoid(run.force_replicas[:, run.t >= 10.0], dx=0.1) / 10.0
     assert row["status"] == "ok"
     assert 0.0 < row["friction"] < 0.8
     assert row["friction"] == pytest.approx(each.mean(), rel=1e-12, abs=0)
     error = each.std(ddof=1) / math.sqrt(8)
     assert row["friction_stderr"] == pytest.approx(error, rel=1e-9, abs=0)
     assert row["friction_dof"] == 7
+
+
+def test_mean_friction_is_over_time_not_over_records():
+    """A force of 1 during 60 of 100, and 0 after; each segment has ten records."""
+    t = np.append(0.0, np.append(np.arange(1, 11) * 6.0, 60.0 + np.arange(1, 11) * 4.0))
+    force = np.where(t <= 60.0, 1.0, 0.0) * np.ones((8, 1))
+    run = SimpleNamespace(t=t, force_replicas=force)
+    # half of the record between 60 and 64, a straight line, counts
+    row = rows_module._late_force(run)
+    assert row["friction"] == pytest.approx((10.0 + 2.0) / 50.0, rel=1e-12, abs=0)
 
 
 def test_a_stage_without_a_motor_has_no_mean_friction():

@@ -11,10 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import gamma
 from typer.testing import CliRunner
 
 import eqsim
 from eqsim import (
+    Distribution,
     Drive,
     Ensemble,
     InputError,
@@ -121,6 +123,16 @@ def test_public_names():
             "thresholds = Thermal(kT=0.1, attempt_frequency=1.0, barrier='soft'): must be a law",
         ),
         (lambda: Ensemble(thermal=0.1), "thermal = 0.1: must be Thermal(...)"),
+        (lambda: Programme(None), "programme = None: must be a list of Segment("),
+        (
+            lambda: Programme(Segment(time=1.0)),
+            "load_rate=None): must be a list of Segment(",
+        ),
+        (lambda: Units(5), "length = 5: must be a unit"),
+        (
+            lambda: Distribution(gamma(3.0), ["a"]),
+            "breakpoints = ['a']: must be numbers",
+        ),
         (lambda: Programme([0.1]), "programme: holds 0.1; must be Segment("),
         (lambda: steady(0.1), "ensemble = 0.1: must be an Ensemble, a run file, or"),
         (lambda: steady(Ensemble()), "drive = None: must be a Drive"),

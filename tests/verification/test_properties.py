@@ -131,7 +131,11 @@ def in_units(e, velocity, length, time, force, aging_too=True):
                 e.thermal.barrier,
             ),
             delay=Delay(e.delay.time * time, e.delay.law),
-            aging=Aging(e.aging.rule, rate, e.aging.x_star_final * length),
+            aging=dataclasses.replace(
+                e.aging, rate=rate, x_star_final=e.aging.x_star_final * length
+            )
+            if e.aging.active
+            else e.aging,
             stiffness=e.stiffness * force / length,
             eta=e.eta * force * time / length,
         ),

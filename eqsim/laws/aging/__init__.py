@@ -87,20 +87,22 @@ class Aging:
     def of_keys(cls, values: dict[str, Any], given: set[str]) -> "Aging":
         """Aging from the keys of a run file: `values`, None where a key has none, and
         the keys that are `given`. Raises InputError."""
+        rule = values["rule"] or "none"
+        if rule == "none":  # the others are kept where a file is varied
+            return cls()
         aging = cls(**{k: v for k, v in values.items() if v is not None})
         aging.check_keys(given)
-        for name in RULES[aging.rule].keys if aging.rule != "none" else ():
+        for name in RULES[aging.rule].keys:
             if values[name] is None:
                 raise InputError(f'{name}: is required with rule = "{aging.rule}"')
         return aging
 
     def check_keys(self, given: set[str]) -> None:
         """Raise InputError if parameters are `given` that are not of this rule, or one
-        is missing that has no default. Without a rule nothing is checked."""
-        if self.rule == "none":
-            return
+        is missing that has no default."""
+        keys = RULES[self.rule].keys if self.rule != "none" else ()
         for name in (one.name for one in fields(self)[1:]):
-            taken = name in RULES[self.rule].keys
+            taken = name in keys
             if name in given and not taken:
                 raise InputError(f'{name}: not allowed with rule = "{self.rule}"')
             if taken and getattr(self, name) is None:
