@@ -58,6 +58,25 @@ class Fate(NamedTuple):
 M = Mistake
 # fmt: off
 MISTAKES = [
+    # sums of trajectories
+    M("trajectory: the variance lacks what the mean is off", "engine/trajectory.py",
+      "value = float(np.mean(late)) + square", "value = float(np.mean(late))",
+      "test_variance.py::test_contacts_that_break_together"),
+    M("trajectory: instants at one phase are believed", "engine/trajectory.py",
+      "reliable = bool(np.mean(off) ** 2 <= seldom", "reliable = bool(0.0 <= seldom",
+      "test_variance.py::test_instants_at_one_phase"),
+    M("trajectory: rounding of squares is part of the variance", "engine/recorder.py",
+      "return Moments(force, pinned, variance, lost", "return Moments(force, pinned, variance + lost, lost",
+      "test_variance.py::test_squares_over_long_distances"),
+    M("trajectory: joined lives leave their rounding", "engine/recorder.py",
+      "_LONGEST_JOINED = 1e4", "_LONGEST_JOINED = 1e9",
+      "test_variance.py::test_squares_over_long_distances"),
+    M("trajectory: a fresh start is never long ago", "engine/trajectory.py",
+      "_LATTICE_ROUNDING = 100.0", "_LATTICE_ROUNDING = 0.0",
+      "test_variance.py::test_a_fresh_start_long_ago"),
+    M("trajectory: sums of stretches overflow", "engine/recorder.py",
+      "(1.0 + lives.birth / lives.typical_stretch)", "1.0",
+      "test_trajectory.py::test_stretches_of_many_short_lives"),
     # laws
     M("gamma: power of the density", "laws/threshold.py", "(1 + 2 * self.n) * np.log(inside)",
       "(2 * self.n) * np.log(inside)",

@@ -160,8 +160,8 @@ class Steps(NamedTuple):
         for _, run, scales, drag, row in self.steps:
             found = recorder.moments(deposits[row:], scales, run, contacts, drag)
             # A segment begins where another has ended.
-            force, pinned, variance = (x[1 if row else 0 :] for x in found)
-            parts.append((run.sign * force, pinned, variance))
+            force, *others = (x[1 if row else 0 :] for x in found)
+            parts.append((run.sign * force, *others))
         return Moments(*map(np.concatenate, zip(*parts, strict=True)))
 
     def force(self, deposits: Array, contacts: int) -> Array:
@@ -329,15 +329,16 @@ def _variance(
     returns whether five standard errors are unlikely to be exceeded."""
     paces = {leg.pace for leg in reduced.legs(ensemble, programme) if leg.sign}
     every = sorted(paces | {programme.velocity or 0.0} - {0.0})
+    seen = found.variance + found.lost
     if not every:  # nothing moves, and nothing has
-        return found.variance / count, True
+        return seen / count, True
     steps = (len(every) - 1) / (_MOST_LEVELS - 1)
     chosen = {every[round(i * steps)] for i in range(_MOST_LEVELS)}
     single, unit = replace(ensemble, count=1), ensemble.thresholds.scale
     reach = np.maximum.accumulate(np.abs(grid.X)) / unit
     if programme.start == "stationary":
         reach[:] = math.inf
-    sample = found.variance * count / (count - 1) if count > 1 else found.variance
+    sample = seen * count / (count - 1) if count > 1 else seen
     variance, rare = np.zeros_like(found.force), 0.0
     for level in (_steady_scatter(single, pace) for pace in sorted(chosen)):
         with np.errstate(all="ignore"):
@@ -351,7 +352,7 @@ def _variance(
                 most=reach**2,
                 lives=float(count),
             )
-        here, unlikely = scatter.known_variance(law, level, found.variance, count)
+        here, unlikely = scatter.known_variance(law, level, seen, count)
         _, always = scatter.known_variance(level, level, level.variance, count)
         variance = np.maximum(variance, here)
         rare = max(rare, min(float(np.mean(unlikely)), float(always[0])))
