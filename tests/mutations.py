@@ -61,7 +61,7 @@ MISTAKES = [
     # sums of trajectories
     M("trajectory: the variance lacks what the mean is off", "engine/trajectory.py",
       "value = float(np.mean(late)) + square", "value = float(np.mean(late))",
-      "test_variance.py::test_contacts_that_break_together"),
+      "test_variance.py::test_contacts_that_break_together_for_many_lives"),
     M("trajectory: instants at one phase are believed", "engine/trajectory.py",
       "reliable = bool(np.mean(off) ** 2 <= seldom", "reliable = bool(0.0 <= seldom",
       "test_variance.py::test_instants_at_one_phase"),
@@ -831,6 +831,9 @@ MISTAKES = [
       "test_chain.py::test_front_in_long_steps"),
     M("slips: none at the end of a record", "engine/readings.py", "if distance > 2.0 * fastest * time:",
       "if distance > 2.0 * fastest * time and low < t.size - 1:", "test_stage.py::test_slips_that_a_record_cuts"),
+    M("slips: records begin and end with a burst", "engine/slider_runs.py",
+      "np.concatenate((ends[:1], x, ends[-1:]))", "x",
+      "test_slider.py::test_slips_of_a_whole_record"),
     M("slips: cut ones in the mean", "engine/records.py", "in whole if slip.ended][1:]",
       "in whole][1:]", "test_stage.py::test_whole_slips_make_the_means"),
     M("reference: a peak where the stage is", "workflows/run.py", "._replace(X=exact.X)", "",
