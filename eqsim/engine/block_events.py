@@ -472,9 +472,9 @@ def simulate(
     """Follow a replica, and fill its `records`, `BLOCK_STATE`s of shape (times, B).
     `told` gets the number of breaks since, now and then; `keep` the state, from which
     a replica that was stopped goes on. Returns the integral of the force of a contact
-    over time, time, breaks, avalanches and single breaks at the edges of batches, shape
-    (edges, 5), and avalanches, `AVALANCHE`s. Raises InputError for a rate that is
-    greatest between two stretches."""
+    over time, time, breaks, avalanches, single breaks and the mean X at the edges of
+    batches, shape (edges, 6), and avalanches, `AVALANCHE`s. Raises InputError for a rate
+    that is greatest between two stretches."""
     laws, key, contacts = interface.laws, interface.key, interface.contacts
     n, count = contacts.mean(), int(contacts.sum())
     b = _blocks_of(interface)
@@ -538,7 +538,7 @@ def simulate(
             passed = (instant - instants.edges[0]) * durations[-1]
             names = "impulse", "breaks", "avalanches", "singles"
             impulse, *counts = (float(now[name]) for name in names)
-            totals.append(np.array([impulse, passed, *counts]))
+            totals.append(np.array([impulse, passed, *counts, X.mean()]))
         run.save(keep, replica, index + 1)
     sums = np.array(totals)
     sums[:, 0] /= contacts.size
