@@ -324,7 +324,7 @@ class _Interface(NamedTuple):
         return cls(laws, key, count, elastic, response, levels, edges, pauses)
 
     @property
-    def kept(self) -> float:
+    def net_drop(self) -> float:
         """Share of the force of a contact that is lost when it breaks."""
         return 1.0 - self.elastic.branching
 
@@ -425,8 +425,8 @@ class _WarmInterface(NamedTuple):
         return cls(ensemble.count, blocks, instants, grid.t.size)
 
     @property
-    def kept(self) -> float:
-        return float(self.blocks.kept.max())
+    def net_drop(self) -> float:
+        return float(self.blocks.net_drop.max())
 
     def begun(self) -> "_WarmInterface":
         zero = np.zeros(1)
@@ -638,7 +638,7 @@ def simulate_blocks(
         X_std, force_std = (np.std(one, axis=0, ddof=1) * unit for one in (X, force))
         stderr = force_std / math.sqrt(replicas)
     X, force = X.mean(axis=0), force.mean(axis=0)
-    unmet = interface.kept * unmet_force(variance, force, count) / replicas
+    unmet = interface.net_drop * unmet_force(variance, force, count) / replicas
     stderr = np.maximum(stderr, unmet * unit)
     estimates = _estimates(runs, unit)
     error = (estimates[0].stderr or 0.0) / unit
