@@ -568,13 +568,13 @@ def test_without_delay_the_pinned_fraction_is_exact(stiffness_law):
 
 
 def test_stretches_of_many_short_lives():
-    """Contacts born close to their thresholds (a travel of 1/1000 of them) break so
-    often that their stretches add up to 1000 times the distance (|z| < 4.5 of both, a
+    """Contacts born close to their thresholds (a travel of 1/5000 of them) break so
+    often that their stretches add up to 5000 times the distance (|z| < 4.5 of both, a
     false alarm of 1.4e-5)."""
     ensemble = Ensemble(
         count=10,
         stiffness_law="uniform",
-        newborn=Newborn("delta", of="threshold", stretch=0.999),
+        newborn=Newborn("delta", of="threshold", stretch=0.9998),
     )
     level = steady(ensemble, Drive(1.0))
     run = trajectory(ensemble, Drive(1.0, distance=20.0), points=11)

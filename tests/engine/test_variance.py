@@ -547,14 +547,16 @@ def test_instants_at_one_phase(count, distance):
 @pytest.mark.parametrize("stiffness", ["uniform", "sqrt"])
 def test_squares_over_long_distances(stiffness):
     """Squares of forces are differences of large numbers: what rounding may hide is an
-    error, and neither adds to the value (|z| < 4.5, a false alarm of 7e-6) nor grows
-    from life to life."""
+    error, which does not grow from life to life (|z| < 4.5, a false alarm of 7e-6).
+    Under the sqrt law it is the larger part of the error, and all that the value is off
+    is the rest: 0.7 of both is 5 times that."""
     contacts = Ensemble(count=64, stiffness_law=stiffness)
     exact = reference(contacts, Drive(1.0), variance=True).force_variance
     drive = Drive(1.0, distance=3e6, start="stationary")
     found = trajectory(contacts, drive, points=30_001).averages.force_variance
     assert found.stderr < 0.03 * exact.value
-    assert abs(z_score(found, exact.value, exact.stderr)) < 4.5
+    most = 4.5 if stiffness == "uniform" else 0.7
+    assert abs(z_score(found, exact.value, exact.stderr)) < most
 
 
 def test_a_fresh_start_long_ago():
