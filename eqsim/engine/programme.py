@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eqsim.engine import recorder, scatter
-from eqsim.engine.blocks import MOST_SENT, Progress, Threads, Totals, simulated
+from eqsim.engine.blocks import Progress, Threads, Totals, simulated
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import follow, idle_lanes
 from eqsim.engine.langevin import STEP_ERROR, step_error
@@ -44,7 +44,7 @@ _HANDED_ON_TOGETHER = 8192
 _MOST_PULLED = 20_000_000  # contacts with a stage: all are kept at once, 120 bytes each
 # Parts of the contacts of one ensemble, whose scatter tells errors of differences of
 # two forces: Student's law of 7 is 1.09 times as wide as the normal one in 68 %.
-LEAST_PARTS, _MOST_PARTS = 8, MOST_SENT
+LEAST_PARTS, _MOST_PARTS = 8, 64
 _MOST_PARTED = 2_000_000  # forces of all parts
 _MOST_LEVELS = 5  # velocities whose steady states say how forces scatter
 

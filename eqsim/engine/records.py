@@ -67,8 +67,8 @@ class Record(ForceRecord):
     pinned, pinned_stderr : ndarray, shape (points,)
         <N_c>/N, averaged over replicas, and its standard error.
     force_replicas : ndarray, shape (replicas, points), or None
-        F/(N k) of every replica (length), if there are several, simulated by threads,
-        and these are at most 2e7 numbers.
+        F/(N k) of every replica (length), if there are several, and these are at most
+        2e7 numbers.
     """
 
     drawn: ClassVar[Drawn] = Drawn(
@@ -89,10 +89,7 @@ class Record(ForceRecord):
         if self.force_replicas is None:
             if self.force_replica_std is None:
                 raise InputError("replicas: there is one ensemble only")
-            raise InputError(
-                "replicas: series are kept if threads simulate them, not an executor, "
-                "and for at most 2e7 numbers"
-            )
+            raise InputError("replicas: series are kept for at most 2e7 numbers")
         count, points = self.force_replicas.shape
         X = getattr(self, "X_replicas", None)
         return {
