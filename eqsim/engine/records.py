@@ -345,7 +345,8 @@ class ElasticTrajectory(ForceRecord):
     friction, size, single : Estimate
         Averages over the second half of the plate's way, from batches: int F dX/Delta X
         of all blocks (length), breaks per avalanche, and fraction of single breaks
-        among them.
+        among them. With heat, an edge, loads or a programme those over the second half
+        of the last segment, friction over time.
     avalanches : dict of ndarray
         Columns: time `t`, plate `D` (length), `block` where it began, `breaks`,
         `blocks` that broke, `drop` of F/(N k) (length), and the `replica`; with heat,
