@@ -404,7 +404,9 @@ def _force_variance(
     square = float(np.mean(off**2))
     over_time = noise / (0.5 * run.distance)
     at_once = max(float(level.fourth[0] - variance**2), 0.0) / late.size
-    apart = min(contacts, variance / square) if square > 0 else contacts
+    apart = float(contacts)
+    if square * contacts > variance > 0.0:
+        apart = variance / square
     stderr = math.hypot(math.sqrt((over_time + at_once) / apart), np.mean(lost))
     seldom = max(_CHANCE / late.size, late.size**-0.5) * square
     reliable = bool(np.mean(off) ** 2 <= seldom + _ROUNDING * friction**2)
