@@ -12,7 +12,8 @@ to a position ahead, the wall, the rate of a contact is below its rate here, at 
 or at its threshold, and that of an annealed contact below the greatest of its table.
 Candidates come at the rate of the sum of these bounds, and one is a break with the
 probability rate/bound. At its wall a block's bounds are renewed, so that nothing but
-the time it takes depends on how far ahead walls are.
+the time it takes depends on how far ahead walls are: twice as far as the last one if no
+candidate was in vain on the way there, and half as far where too many are.
 
 Lengths are in units of the threshold law's scale, time is displacement at the pace of
 the plate. A run belongs to one thread.
@@ -57,8 +58,14 @@ _COLUMNS = 256  # of a response that are solved for together
 _LEAST_SHARE = 1e-290  # q_j of a block that the plate does not move
 _MOST_NUMBERS = 1e8  # of a response: 1 GB of memory
 _BEYOND = 1.0 + 1e-9  # factor on bounds, for their rounding
-_CONSTANT = ("start", "share", "kept")  # of blocks
-_AHEAD = 0.5  # e-folds of the rate of a contact between a wall and the next
+_CONSTANT = ("start", "share", "net_drop")  # of blocks
+# e-folds of the rate of a contact between a block and its first wall
+_FIRST_AHEAD = 0.5
+_WIDEST = 1.0  # way of a block to a wall, in scales of the threshold law
+# Candidates of a block that do not break on its way to a wall, after which the wall is
+# too far away.
+_MOST_REJECTED = 4
+_ULP = 1.0 + np.finfo(float).eps  # factor to the next number, at least
 
 # The run so far, and the avalanche that goes on.
 STATE = np.dtype(
@@ -107,12 +114,14 @@ class Blocks(NamedTuple):
     lives: Array  # (N,), that have been drawn
     start: Array  # (B + 1,)
     wall: Array  # (B,), position up to which bounds hold
+    width: Array  # (B,), from a block to its new wall; infinite without heat
+    rejected: Array  # (B,), candidates since the last wall that did not break
     at: Array  # (B,), the next position: a break or the wall
     h: Array  # level there, with room to a multiple of `LEAF`
     tree: Array  # lowest of these, as in `lattice`
     rates: Array  # sums of bounds over blocks, a binary tree from node 1 on
     share: Array  # q_j (B,)
-    kept: Array  # force that a break of unit stretch leaves elsewhere (B,)
+    net_drop: Array  # (B,), of the force by a break of unit stretch
     last: Array  # (B,), avalanche that has broken contacts
     breaks: Array  # (B,), so far
 
@@ -131,7 +140,7 @@ class Way(NamedTuple):
     until: float  # time since then
     speed: float  # change of the level over time
     gain: float  # change of the force over that of the level
-    width: float  # from a block to its new wall; infinite without heat
+    most_rejected: int  # candidates on the way to a wall
     size: float  # n, mean number of contacts of a block
     key: Key
     replica: int
@@ -207,9 +216,10 @@ def _aim(b: Blocks, block: int) -> None:
 
 
 @routine
-def _renew(laws: Contacts, b: Blocks, width: float, block: int, X: float) -> None:
+def _renew(laws: Contacts, b: Blocks, block: int, X: float) -> None:
     """Move the wall of a block at X, and bound the rates of its contacts."""
-    b.wall[block] = X + width
+    b.wall[block] = max(X + b.width[block], X * _ULP)
+    b.rejected[block] = 0
     if thermal(laws.barrier):
         for i in range(b.start[block], b.start[block + 1]):
             b.bound[i] = _bound(laws, b, block, i, X)
@@ -265,7 +275,7 @@ def pin_all(laws: Contacts, key: Key, way: Way, b: Blocks, state: Array) -> None
             b.lives[i] = 1
         b.at[block] = 0.0
         b.h[block] = 0.0
-        _renew(laws, b, way.width, block, 0.0)
+        _renew(laws, b, block, 0.0)
         _aim(b, block)
         _mend(b, block)
     u, _ = uniforms(way.key, way.replica, 0, 0)
@@ -294,7 +304,7 @@ def _break(
     now.size += 1
     now.breaks += 1
     b.breaks[block] += 1
-    now.force -= x * b.kept[block]
+    now.force -= x * b.net_drop[block]
     return x
 
 
@@ -367,6 +377,12 @@ def follow(
                 actual = _rate(laws, b, contact, X)
                 now.unbounded |= actual > b.bound[contact]
                 if v * b.bound[contact] >= actual:
+                    b.rejected[block] += 1
+                    if b.rejected[block] > way.most_rejected:
+                        b.width[block] *= 0.5
+                        _renew(laws, b, block, X)
+                        _aim(b, block)
+                        _mend(b, block)
                     continue
                 _begin_avalanche(now, block, True)
             else:
@@ -379,7 +395,9 @@ def follow(
             block = lowest_block(b)
             X = b.at[block]
             if b.wall[block] <= X:
-                _renew(laws, b, way.width, block, X)
+                if b.rejected[block] == 0:
+                    b.width[block] = min(2.0 * b.width[block], _WIDEST)
+                _renew(laws, b, block, X)
                 _aim(b, block)
                 _mend(b, block)
                 continue
@@ -403,9 +421,9 @@ class Interface(NamedTuple):
     contacts: Array  # numbers, of each block (B,)
     response: Response | Banded
     share: Array  # q_j (B,)
-    kept: Array  # force that a break of unit stretch leaves elsewhere (B,)
+    net_drop: Array  # (B,), of the force by a break of unit stretch
     speed: float  # change of the level over the displacement of the plate
-    ahead: float  # from a block to its new wall
+    ahead: float  # from a block to its first wall; infinite without heat
 
 
 def interface_of(
@@ -414,16 +432,14 @@ def interface_of(
     """Contacts and blocks for kernels. Raises InputError where a response takes too much
     memory."""
     contacts = elastic.contacts_of(ensemble.count)
-    heat = ensemble.thermal.active
-    b = reduced(ensemble, pace).barrier.b if heat else 0.0
-    ahead = _AHEAD / max(b, 1.0) if heat else math.inf
-    keys = key_of(seed, TRAJECTORY), key_of(seed, CANDIDATES)
-    begun = laws_of(ensemble, pace), *keys, contacts
+    laws, barrier = laws_of(ensemble, pace), reduced(ensemble, pace).barrier
+    ahead = _FIRST_AHEAD / max(barrier.b, 1.0) if barrier.thermal else math.inf
+    begun = laws, key_of(seed, TRAJECTORY), key_of(seed, CANDIDATES), contacts
     if not elastic.differ:
         ones, passed = np.ones(elastic.count), elastic.branching
         response = response_of(elastic, 1.0)._replace(unit=0.0)
-        kept = (1.0 - passed) * ones
-        return Interface(*begun, response, ones, kept, 1.0 - passed, ahead)
+        net_drop = (1.0 - passed) * ones
+        return Interface(*begun, response, ones, net_drop, 1.0 - passed, ahead)
     weights = contacts / contacts.mean()
     balance = splu(balance_of(elastic.springs + weights, elastic.coupling))
     share = balance.solve(elastic.springs)
@@ -434,18 +450,18 @@ def interface_of(
         said = f"{B} blocks that differ and feel {width} of each other take too much memory"
         raise InputError(f"coupling = {elastic.coupling}: {said}")
     first = np.clip(np.arange(B) - width // 2, 0, B - width)
-    G, kept = np.empty((B, width)), np.empty(B)
+    G, net_drop = np.empty((B, width)), np.empty(B)
     for begin in range(0, B, _COLUMNS):
         breaks = np.arange(begin, min(begin + _COLUMNS, B))
         unit = np.zeros((B, breaks.size))
         unit[breaks, breaks - begin] = 1.0
         moved = balance.solve(unit)
-        kept[breaks] = 1.0 - weights @ moved
+        net_drop[breaks] = 1.0 - weights @ moved
         near = first[breaks, None] + np.arange(width)
         G[breaks] = moved[near, (breaks - begin)[:, None]]
     share = np.maximum(share, _LEAST_SHARE)
     G /= share[first[:, None] + np.arange(width)]
-    return Interface(*begun, Banded(G, first, 0.0), share, kept, 1.0, ahead)
+    return Interface(*begun, Banded(G, first, 0.0), share, net_drop, 1.0, ahead)
 
 
 class Instants(NamedTuple):
@@ -472,14 +488,14 @@ def simulate(
     """Follow a replica, and fill its `records`, `BLOCK_STATE`s of shape (times, B).
     `told` gets the number of breaks since, now and then; `keep` the state, from which
     a replica that was stopped goes on. Returns the integral of the force of a contact
-    over time, time, breaks, avalanches and single breaks at the edges of batches, shape
-    (edges, 5), and avalanches, `AVALANCHE`s. Raises InputError for a rate that is
-    greatest between two stretches."""
+    over time, time, breaks, avalanches, single breaks and the mean X at the edges of
+    batches, shape (edges, 6), and avalanches, `AVALANCHE`s. Raises InputError for a rate
+    that is greatest between two stretches."""
     laws, key, contacts = interface.laws, interface.key, interface.contacts
     n, count = contacts.mean(), int(contacts.sum())
     b = _blocks_of(interface)
     way = Way(
-        0.0, 0.0, interface.speed, float(contacts @ interface.share) / n, interface.ahead, n,
+        0.0, 0.0, interface.speed, float(contacts @ interface.share) / n, _MOST_REJECTED, n,
         interface.candidates, replica, replica * count,
     )  # fmt: skip
     state = np.zeros(1, STATE)
@@ -538,7 +554,7 @@ def simulate(
             passed = (instant - instants.edges[0]) * durations[-1]
             names = "impulse", "breaks", "avalanches", "singles"
             impulse, *counts = (float(now[name]) for name in names)
-            totals.append(np.array([impulse, passed, *counts]))
+            totals.append(np.array([impulse, passed, *counts, X.mean()]))
         run.save(keep, replica, index + 1)
     sums = np.array(totals)
     sums[:, 0] /= contacts.size
@@ -556,12 +572,14 @@ def _blocks_of(interface: Interface) -> Blocks:
         lives=np.zeros(N, np.int64),
         start=np.append(0, np.cumsum(interface.contacts)),
         wall=np.zeros(B),
+        width=np.full(B, interface.ahead),
+        rejected=np.zeros(B, np.int64),
         at=np.zeros(B),
         h=h,
         tree=tree,
         rates=np.zeros(2 << (B - 1).bit_length()),
         share=interface.share,
-        kept=interface.kept,
+        net_drop=interface.net_drop,
         last=np.zeros(B, np.int64),
         breaks=np.zeros(B, np.int64),
     )

@@ -19,7 +19,6 @@ from eqsim.numerics.threads import ThreadPool, interruptibly
 Progress = Callable[[int], None]
 Threads = int | tuple[Executor, int]
 _LEAST_BLOCK = 128  # contacts, at least, unless there are fewer
-MOST_SENT = 64  # replicas whose forces a worker of an executor sends back
 # shares of blocks for each worker of an executor: few, so that tables and sums are
 # seldom sent, but several, so that workers end together
 _SHARES_PER_WORKER = 4
@@ -137,7 +136,6 @@ def _follow_blocks(
     executor."""
     if total is None:
         total = job.totals(blocks.replicas)
-        total.kept &= blocks.replicas <= MOST_SENT
     for i in numbers:
         if total.stop[0]:
             break

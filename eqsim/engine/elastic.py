@@ -283,6 +283,7 @@ class _Totals(NamedTuple):
     breaks: Array
     avalanches: Array
     singles: Array
+    moved: Array  # mean X of the blocks
 
 
 class _Replica(NamedTuple):
@@ -323,7 +324,7 @@ class _Interface(NamedTuple):
         return cls(laws, key, count, elastic, response, levels, edges, pauses)
 
     @property
-    def kept(self) -> float:
+    def net_drop(self) -> float:
         """Share of the force of a contact that is lost when it breaks."""
         return 1.0 - self.elastic.branching
 
@@ -372,9 +373,9 @@ class _Interface(NamedTuple):
                 stored = 0.5 * (n * X**2 - 2.0 * X * b.births + b.squares)
                 area = (now["work"] + stored.sum()) / n
                 counts = (now[name] for name in ("breaks", "avalanches", "singles"))
-                totals.append(np.array((area, X.sum(), *counts), float))
+                totals.append(np.array((area, X.sum(), *counts, X.mean()), float))
             run.save(keep, replica, index + 1)
-        batches = _Totals(*np.reshape(totals, (-1, 5)).T)
+        batches = _Totals(*np.reshape(totals, (-1, 6)).T)
         found, share = np.concatenate(events), 1.0 - elastic.branching
         # Force is lost by breaks and gained by the motion that they cause: what is left of
         # the loss is the share of the plate's motion that blocks follow at once.
@@ -424,8 +425,8 @@ class _WarmInterface(NamedTuple):
         return cls(ensemble.count, blocks, instants, grid.t.size)
 
     @property
-    def kept(self) -> float:
-        return float(self.blocks.kept.max())
+    def net_drop(self) -> float:
+        return float(self.blocks.net_drop.max())
 
     def begun(self) -> "_WarmInterface":
         zero = np.zeros(1)
@@ -637,14 +638,15 @@ def simulate_blocks(
         X_std, force_std = (np.std(one, axis=0, ddof=1) * unit for one in (X, force))
         stderr = force_std / math.sqrt(replicas)
     X, force = X.mean(axis=0), force.mean(axis=0)
-    unmet = interface.kept * unmet_force(variance, force, count) / replicas
+    unmet = interface.net_drop * unmet_force(variance, force, count) / replicas
     stderr = np.maximum(stderr, unmet * unit)
     estimates = _estimates(runs, unit)
     error = (estimates[0].stderr or 0.0) / unit
+    second_half = float(np.mean([run.totals.moved[0] for run in runs])), float(X[-1])
     if isinstance(interface, _Interface):
-        over = _transient_is_over(interface.laws, X, error)
+        over = _transient_is_over(interface.laws, second_half, error)
     else:
-        over = X[X.size // 2] > _FORGOTTEN * ensemble.thresholds.mean / unit
+        over = second_half[0] > _FORGOTTEN * ensemble.thresholds.mean / unit
     averages = [replace(one, reliable=one.reliable and over) for one in estimates]
     friction, size, single = averages
     pace = max(one.velocity for one in _programme_of(drive, ensemble).segments)
@@ -705,13 +707,15 @@ def _estimates(
     )
 
 
-def _transient_is_over(laws: Contacts, X: Array, error: float) -> bool:
-    """True if the start moves friction in the second half by less than half its error.
-    Taken from independent contacts, whose law is exact."""
+def _transient_is_over(
+    laws: Contacts, second_half: tuple[float, float], error: float
+) -> bool:
+    """True if the start moves friction from one X to another, those of the second half,
+    by less than half its error. Taken from independent contacts, whose law is exact."""
     born = births(laws)
     level = scatter(laws, born, None, 0.0)
-    late = scatter(laws, born, float(X[-1]), 0.0)
-    moments = late.at(np.linspace(X[X.size // 2], X[-1], 1025))
+    late = scatter(laws, born, second_half[1], 0.0)
+    moments = late.at(np.linspace(*second_half, 1025))
     change = abs(np.mean(moments.mean) - level.mean[0])
     return bool(change <= 0.5 * error + 1e-9 * level.mean[0])
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eqsim.engine import recorder, scatter
-from eqsim.engine.blocks import MOST_SENT, Progress, Threads, Totals, simulated
+from eqsim.engine.blocks import Progress, Threads, Totals, simulated
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.lanes import follow, idle_lanes
 from eqsim.engine.langevin import STEP_ERROR, step_error
@@ -44,7 +44,7 @@ _HANDED_ON_TOGETHER = 8192
 _MOST_PULLED = 20_000_000  # contacts with a stage: all are kept at once, 120 bytes each
 # Parts of the contacts of one ensemble, whose scatter tells errors of differences of
 # two forces: Student's law of 7 is 1.09 times as wide as the normal one in 68 %.
-LEAST_PARTS, _MOST_PARTS = 8, MOST_SENT
+LEAST_PARTS, _MOST_PARTS = 8, 64
 _MOST_PARTED = 2_000_000  # forces of all parts
 _MOST_LEVELS = 5  # velocities whose steady states say how forces scatter
 
@@ -160,8 +160,8 @@ class Steps(NamedTuple):
         for _, run, scales, drag, row in self.steps:
             found = recorder.moments(deposits[row:], scales, run, contacts, drag)
             # A segment begins where another has ended.
-            force, pinned, variance = (x[1 if row else 0 :] for x in found)
-            parts.append((run.sign * force, pinned, variance))
+            force, *others = (x[1 if row else 0 :] for x in found)
+            parts.append((run.sign * force, *others))
         return Moments(*map(np.concatenate, zip(*parts, strict=True)))
 
     def force(self, deposits: Array, contacts: int) -> Array:
@@ -329,15 +329,16 @@ def _variance(
     returns whether five standard errors are unlikely to be exceeded."""
     paces = {leg.pace for leg in reduced.legs(ensemble, programme) if leg.sign}
     every = sorted(paces | {programme.velocity or 0.0} - {0.0})
+    seen = found.variance + found.lost
     if not every:  # nothing moves, and nothing has
-        return found.variance / count, True
+        return seen / count, True
     steps = (len(every) - 1) / (_MOST_LEVELS - 1)
     chosen = {every[round(i * steps)] for i in range(_MOST_LEVELS)}
     single, unit = replace(ensemble, count=1), ensemble.thresholds.scale
     reach = np.maximum.accumulate(np.abs(grid.X)) / unit
     if programme.start == "stationary":
         reach[:] = math.inf
-    sample = found.variance * count / (count - 1) if count > 1 else found.variance
+    sample = seen * count / (count - 1) if count > 1 else seen
     variance, rare = np.zeros_like(found.force), 0.0
     for level in (_steady_scatter(single, pace) for pace in sorted(chosen)):
         with np.errstate(all="ignore"):
@@ -351,7 +352,7 @@ def _variance(
                 most=reach**2,
                 lives=float(count),
             )
-        here, unlikely = scatter.known_variance(law, level, found.variance, count)
+        here, unlikely = scatter.known_variance(law, level, seen, count)
         _, always = scatter.known_variance(level, level, level.variance, count)
         variance = np.maximum(variance, here)
         rare = max(rare, min(float(np.mean(unlikely)), float(always[0])))

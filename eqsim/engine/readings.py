@@ -13,7 +13,7 @@ from eqsim.numerics.tables import Array
 
 
 def slips_of(
-    t: Array, X: Array, spring: Array, least: float, fastest: float, replica: int = 0
+    t: Array, X: Array, spring: Array, least: float, fastest: float
 ) -> list[Slip]:
     """The slips in a record, arrays (points,), forwards and backwards: the force of the
     spring falls by `least` or more before it rises by as much, or the mirror image of
@@ -22,8 +22,7 @@ def slips_of(
     slips = _falls(t, X, spring, least, fastest)
     for slip in _falls(t, -X, -spring, least, fastest):
         slips.append(replace(slip, X=-slip.X, distance=-slip.distance))
-    slips.sort(key=lambda slip: slip.t)
-    return [replace(slip, replica=replica) for slip in slips]
+    return sorted(slips, key=lambda slip: slip.t)
 
 
 def _falls(

@@ -33,6 +33,9 @@ _LEAST_WORK = 2.0**5
 _SUM_BITS = 62  # of a sum; the sign and one more are left
 _BITS_OF_2_52 = 0x4330000000000000  # bits of 2^52
 _BITS_OF_SHIFT = 0x4338000000000000  # bits of 1.5 2^52
+# Lives that are joined leave their rounding behind in the sums of squares: in units of
+# the square, distance^2 lives^(1/2) 2^-63 or so, below 1e-6 up to 1e10 lives.
+_LONGEST_JOINED = 1e4
 # So many contacts leave numbers up to 2^51 each, where sums are up to 2^62.
 _NARROW_FROM = 2 ** (_SUM_BITS - 51)
 
@@ -157,7 +160,9 @@ class Scales(NamedTuple):
         ramp, square = strong * reach, (strong * reach) ** 2
         bounds = [1.0, ramp, square, strong, strong**2, strong**2 * reach]
         deposits = Deposit(*power(bounds, contacts))
-        bounds = [force * reach, reach, reach, 1.0, reach, reach]
+        # Stretches at breaking are travels and those at birth, one for each life.
+        stretched = reach * (1.0 + lives.birth / lives.typical_stretch)
+        bounds = [force * reach, reach, reach, 1.0, stretched, reach]
         windows = Window(*power(bounds, contacts))
         typical = max(lives.typical_force, usual)
         # No areas are added up along a programme.
@@ -249,7 +254,8 @@ class Recorder(NamedTuple):
     windows: Array  # `WINDOW`, (BATCHES, 2), sums over quarters of the second half
     lives: Array  # (1,), so far
     stop: Array  # (1,), anything but 0 ends the kernel
-    joined: bool  # a life begins where another ends, and is as stiff
+    # A life begins where another ends, and is as stiff; both are recorded at once.
+    joined: bool
     averaging: Averaging
     columns: Columns
     narrow: bool  # as in `Scales`
@@ -270,7 +276,9 @@ class Recorder(NamedTuple):
             total.windows,
             total.lives,
             total.stop,
-            joined=c.springs.slope == 0.0 and c.delay.mean == 0.0,
+            joined=c.springs.slope == 0.0
+            and c.delay.mean == 0.0
+            and run.distance <= _LONGEST_JOINED,
             averaging=Averaging.empty(),
             columns=Columns.empty(),
             narrow=scales.narrow,
@@ -293,6 +301,7 @@ class Moments(NamedTuple):
     force: Array
     pinned: Array
     variance: Array  # of the force
+    lost: Array  # error of the variance by rounding
 
 
 def moments(
@@ -307,10 +316,10 @@ def moments(
     force = mean_force(deposits, scales, run, contacts, drag)
     square = ((slope2 * X + 2.0 * ramp2) * X + square).astype(float)
     variance = np.maximum(square + drag**2 * (1.0 - pinned) - force**2, 0.0)
-    # Variance that rounding may hide: over long distances large squares of X cancel.
+    # Over long distances large squares of X cancel.
     rounding = 4.0 * np.finfo(np.longdouble).eps * slope2 * X * X
     lost = rounding + (X > 0) / scales.deposits.square
-    return Moments(force, pinned, variance + lost.astype(float))
+    return Moments(force, pinned, variance, lost.astype(float))
 
 
 def mean_force(

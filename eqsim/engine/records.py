@@ -67,8 +67,8 @@ class Record(ForceRecord):
     pinned, pinned_stderr : ndarray, shape (points,)
         <N_c>/N, averaged over replicas, and its standard error.
     force_replicas : ndarray, shape (replicas, points), or None
-        F/(N k) of every replica (length), if there are several, simulated by threads,
-        and these are at most 2e7 numbers.
+        F/(N k) of every replica (length), if there are several, and these are at most
+        2e7 numbers.
     """
 
     drawn: ClassVar[Drawn] = Drawn(
@@ -89,10 +89,7 @@ class Record(ForceRecord):
         if self.force_replicas is None:
             if self.force_replica_std is None:
                 raise InputError("replicas: there is one ensemble only")
-            raise InputError(
-                "replicas: series are kept if threads simulate them, not an executor, "
-                "and for at most 2e7 numbers"
-            )
+            raise InputError("replicas: series are kept for at most 2e7 numbers")
         count, points = self.force_replicas.shape
         X = getattr(self, "X_replicas", None)
         return {
@@ -348,7 +345,8 @@ class ElasticTrajectory(ForceRecord):
     friction, size, single : Estimate
         Averages over the second half of the plate's way, from batches: int F dX/Delta X
         of all blocks (length), breaks per avalanche, and fraction of single breaks
-        among them.
+        among them. With heat, an edge, loads or a programme those over the second half
+        of the last segment, friction over time.
     avalanches : dict of ndarray
         Columns: time `t`, plate `D` (length), `block` where it began, `breaks`,
         `blocks` that broke, `drop` of F/(N k) (length), and the `replica`; with heat,

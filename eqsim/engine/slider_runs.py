@@ -160,19 +160,28 @@ def _break_by_break(slider: Slider, instants: Array, told: Progress) -> _PulledR
     t = np.interp(bursts["Y"], loads, times)
     let_go = pull.forced and np.isnan(course["X"][-1])
     lives = slider.count + int(now["breaks"])
-    run = _of_bursts(pull, slider.least_slip, course, t, bursts, lives)
+    least = slider.least_slip
+    run = _of_bursts(pull, least, instants, course, t, bursts, lives)
     return run._replace(lifetime=float(t[-1])) if let_go else run
 
 
 def _of_bursts(
-    pull: Pull, least_slip: float, course: Array, t: Array, bursts: Array, lives: int
+    pull: Pull,
+    least_slip: float,
+    instants: Array,
+    course: Array,
+    t: Array,
+    bursts: Array,
+    lives: int,
 ) -> _PulledRun:
     """Run of a slider that jumps when contacts break, at the times `t`."""
     slips = []
     if pull.stiffness and t.size:
         moved = np.stack((bursts["X"], bursts["X"] + bursts["distance"]), axis=1)
         twice = np.repeat(t, 2), moved.ravel(), np.repeat(bursts["Y"], 2)
-        slips = _slips(pull, least_slip, course, *twice)
+        record = zip((instants, course["X"], course["stage"]), twice, strict=True)
+        whole = (np.concatenate((ends[:1], x, ends[-1:])) for ends, x in record)
+        slips = _slips(pull, least_slip, course, *whole)
     columns = {name: bursts[name] for name in ("X", "breaks", "drop", "distance")}
     return _PulledRun(course, slips, lives, {"t": t, **columns})
 
@@ -200,7 +209,8 @@ def _by_events(
         bursts = every[ends[replica] : ends[replica + 1]]
         now = sliders[replica]
         lives, lifetime = ensemble.count + int(now["breaks"]), float(now["lifetime"])
-        run = _of_bursts(pull, least, course, bursts["t"], bursts, lives)
+        t = bursts["t"]
+        run = _of_bursts(pull, least, instants, course, t, bursts, lives)
         runs.append(run._replace(lifetime=lifetime))
     return runs
 
@@ -311,7 +321,6 @@ def pulled_columns(
             holding = np.ma.array(every["X"], mask=gone)
             std["X"] = holding.std(axis=0, ddof=1).filled(math.nan)
             errors["X"] = std["X"] / np.sqrt(np.maximum(holding.count(axis=0), 1))
-        errors["friction"] = np.sqrt(std["friction"] ** 2 / replicas)
         # as a sample does not tell what one contact does that none of the replicas had
         unmet = _unmet(mean, pull.stiffness, ensemble.count, replicas, delayed)
         errors = {name: np.maximum(errors[name], unmet[name]) for name in errors}

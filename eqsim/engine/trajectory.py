@@ -18,7 +18,7 @@ from eqsim.engine.blocks import Progress, Threads, require_lives, simulated, wor
 from eqsim.engine.chain import chain_trajectory
 from eqsim.engine.contacts import Contacts, contacts
 from eqsim.engine.readings import Forces, shown_by
-from eqsim.engine.recorder import BATCHES, Run, Scales, Window
+from eqsim.engine.recorder import BATCHES, Moments, Run, Scales, Window
 from eqsim.engine.records import ProgrammeTrajectory, Trajectory
 from eqsim.engine.sample import rough_stretch, square_of, typical_lives
 from eqsim.engine.scatter import Births, Scatter
@@ -45,9 +45,13 @@ _LEAST_ADDED = (
     32  # contacts that are added at an instant and simulated, for their scatter
 )
 _UNCOUNTED = 1000  # lives, so few that exceeding `max_lives` by them does not matter
-# Variance in time of a stationary mean over its expectation: exceeded by chance once in
-# 2e6 runs at most (one degree of freedom).
+# Square of a mean over its expectation: exceeded by chance once in 2e6 runs (one degree
+# of freedom).
 _CHANCE = 25.0
+_ROUNDING = 1e-24  # relative rounding of a mean force, squared
+# Relative rounding of the law's transient, per life: sums over some 10^4 lives round by
+# some 100 times that of a number, and all births of the past enter.
+_LATTICE_ROUNDING = 100.0 * np.finfo(float).eps
 
 
 def predicted_lives(
@@ -226,14 +230,15 @@ def trajectory(
     job = programme.constant_drive(c, start, run, scales, key, drag)
     done = simulated(job, ensemble.count, replicas, threads, progress)
 
-    force, pinned, variance = done.moments
+    force, pinned, variance, lost = done.moments
     grid = np.arange(points) * (distance / (points - 1))
     of_pinned = scatter.pinned_variance(pinned, count, c.delay.mean > 0)
     if not run.stationary:  # all contacts are pinned and unstretched at X = 0
         of_pinned[0] = 0.0
     single, way = replace(ensemble, count=1), None if run.stationary else run.distance
     law, level, (alike, noise) = _expected(single, drive.velocity, mean_stretch, way)
-    of_force, rare = scatter.known_variance(law.at(grid / unit), level, variance, count)
+    here = law.at(grid / unit)
+    of_force, rare = scatter.known_variance(here, level, variance + lost, count)
     _, always_rare = scatter.known_variance(level, level, level.variance, count)
     bias = programme.step_bias(job.steps)
     of_pinned += (bias * pinned * (1.0 - pinned)) ** 2
@@ -247,11 +252,14 @@ def trajectory(
     if c.delay.mean == math.inf:  # no stationary state gives it an error
         spread = Estimate(None, None, count)
     elif not ensemble.divergence:
-        spread = _force_variance((force, variance), level, run, count, noise)
-    gone = _is_over(second_half[0], late.mean, level.mean[0])
-    gone = gone and _is_over(second_half[1], late.pinned, level.pinned[0])
+        friction = second_half[0].value
+        spread = _force_variance(done.moments, friction, level, run, count, noise)
+    off = _LATTICE_ROUNDING * done.lives / count
+    gone = _is_over(second_half[0], late.mean, level.mean[0], off)
+    gone = gone and _is_over(second_half[1], late.pinned, level.pinned[0], off)
     seen = [gone and n * 0.5 * run.distance * count >= scatter.ENOUGH for n in alike]
-    seen[-1] = seen[-1] and _is_over(spread, late.variance, level.variance[0])
+    square = late.variance + (late.mean - level.mean[0]) ** 2
+    seen[-1] = seen[-1] and _is_over(spread, square, level.variance[0], off)
     units = [shown.size(unit) for shown in estimate.OBSERVABLES.values()]
     parts = zip((*second_half, spread), units, seen, strict=True)
     return Trajectory(
@@ -395,32 +403,45 @@ def _second_half(
 
 
 def _force_variance(
-    moments: tuple[Array, Array], level: Scatter, run: Run, contacts: int, noise: float
+    moments: Moments,
+    friction: float | None,
+    level: Scatter,
+    run: Run,
+    contacts: int,
+    noise: float,
 ) -> Estimate:
-    """Mean over the second half of the variance over contacts at every grid point, from
-    mean and variance, shape (points,). Its error is from the law: `noise` gives that of
-    the time average, and the fourth moment what instants that far apart may miss.
+    """Mean over the second half of (f - friction)^2, f the force of a contact: the
+    variance over contacts plus the square of what their mean is off. The variance alone
+    lacks the covariance of contacts, which break together for many lives where
+    thresholds are alike. The friction is off by far less than one force scatters.
 
-    Contacts that break in step, as equal or commensurate thresholds do for ever, vary
-    less than those of the steady state by the variance in time of their mean, which is
-    otherwise 1/N of it; then it is unreliable."""
-    force, late = (part[run.points // 2 :] for part in moments)
-    if contacts < 2:
+    The error is from the law: `noise` gives that of the time average, and the fourth
+    moment what instants that far apart may miss. Contacts in step are as few as the
+    variance in time of their mean tells. Where instants find all contacts at the same
+    few phases again and again, their mean is not the friction: unreliable. The square
+    then misses about the same share as that of the mean, and has an error of about 1
+    in `instants`^(1/2)."""
+    if friction is None:
         return Estimate(None, None, contacts)
+    force, _, late, lost = (part[run.points // 2 :] for part in moments)
+    off, variance = force - friction, float(level.variance[0])
+    square = float(np.mean(off**2))
     over_time = noise / (0.5 * run.distance)
-    at_once = max(float(level.fourth[0] - level.variance[0] ** 2), 0.0) / late.size
-    value = float(np.mean(late)) * contacts / (contacts - 1)
-    stderr = math.sqrt((over_time + at_once) / contacts)
-    in_step = float(np.var(force))
-    by_chance = _CHANCE * float(level.variance[0]) / contacts
-    reliable = in_step <= max(0.5 * stderr, by_chance)
+    at_once = max(float(level.fourth[0] - variance**2), 0.0) / late.size
+    apart = float(contacts)
+    if square * contacts > variance > 0.0:
+        apart = variance / square
+    stderr = math.hypot(math.sqrt((over_time + at_once) / apart), np.mean(lost))
+    seldom = max(_CHANCE / late.size, late.size**-0.5) * square
+    reliable = bool(np.mean(off) ** 2 <= seldom + _ROUNDING * friction**2)
+    value = float(np.mean(late)) + square
     return Estimate(value, stderr, contacts * late.size, reliable=reliable)
 
 
-def _is_over(average: Estimate, expected: Array, level: float) -> bool:
+def _is_over(average: Estimate, expected: Array, level: float, off: float) -> bool:
     """True if the transient that the law predicts moves an average by less than half
-    its error, or by rounding."""
-    least = 0.5 * (average.stderr or 0.0) + 1e-9 * abs(level)
+    its error, or by the relative rounding `off`."""
+    least = 0.5 * (average.stderr or 0.0) + (1e-9 + off) * abs(level)
     return bool(abs(np.mean(expected) - level) <= least)
 
 

@@ -148,7 +148,9 @@ def _cut(segment: Segment, node: int) -> list[Segment]:
 def under_load(load: Array, born: Sequence[Added], results: Sequence[Any]) -> Any:
     """Sum results over births under a `load`. Errors include what changes if contacts
     are added at half as many instants: the largest change nearby of exact means, in
-    quadrature with standard errors what noise does not explain."""
+    quadrature with standard errors what noise does not explain. Contacts that a fall of
+    the load takes away are simulated, with less weight; without them the forces of
+    replicas scatter more, by the root of what they were over what is left of them."""
     whole = [_padded(*pair) for pair in zip(born, results, strict=True)]
     total = summed([_Share(x.weight, x.weight / load) for x in born], whole)
     change = [x.weight - x.coarse for x in born]
@@ -166,6 +168,10 @@ def under_load(load: Array, born: Sequence[Added], results: Sequence[Any]) -> An
             square = np.maximum(value**2 - getattr(missed, kind) ** 2, 0.0)
             error = np.hypot(getattr(total, kind), np.sqrt(square))
         changes[kind] = error
+    if hasattr(total, "force_replica_std"):
+        roots = [np.sqrt(x.weight * x.weight.max()) for x in born]
+        fewer = [_Share(root, root / load) for root in roots]
+        changes["force_replica_std"] = summed(fewer, whole).force_replica_std
     return replace(total, **changes)
 
 

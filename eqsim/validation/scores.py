@@ -502,7 +502,7 @@ def _forces(
     for index in range(ensembles):
         total = job.totals(1)
         job.simulate(total, index * n, (index + 1) * n)
-        force, _, variance = job.moments(total.deposits, n)
+        force, _, variance, _ = job.moments(total.deposits, n)
         forces[index] = force[[0, -1]] * unit
         variances[index] = variance[[0, -1]] * unit**2
     return forces, variances

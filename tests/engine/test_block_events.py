@@ -197,20 +197,35 @@ def test_one_block_is_a_slider_behind_a_stage():
 @pytest.mark.verification
 @pytest.mark.parametrize("barrier", ["soft", "stiff"])
 def test_walls_change_nothing(monkeypatch, barrier):
-    """Friction and avalanches with walls ten times nearer, and of annealed contacts, too:
+    """Friction and avalanches with walls ten times as far, and of annealed contacts, too:
     |z| < 4.5 of three averages."""
     chain = Elastic(40, 20.0, 0.25)
     for disorder in ("quenched", "annealed"):
         heat = Thermal(0.1, 1.0, barrier)
         warm = Ensemble(thermal=heat, disorder=disorder, count=4000, **UNIFORM)
         runs = []
-        for ahead, seed in ((0.5, 1), (0.05, 2)):
-            monkeypatch.setattr(block_events, "_AHEAD", ahead)
+        for rejected, seed in ((4, 1), (40, 2)):
+            monkeypatch.setattr(block_events, "_MOST_REJECTED", rejected)
             runs.append(pulled(warm, chain, 60.0, 0.3, points=5, seed=seed))
         for name in ("friction", "size", "single"):
             one, other = (getattr(run, name) for run in runs)
             z = (one.value - other.value) / np.hypot(one.stderr, other.stderr)
             assert abs(z) < 4.5, (disorder, name)
+
+
+def test_cold_contacts_take_no_longer():
+    """Walls are as near as rates of cold contacts need only where one is about to break:
+    the colder, the closer to breaks without heat, by kT or rounding, and never without
+    an end."""
+    chain = Elastic(4, 1.0, 0.5)
+    cold = Ensemble(count=20, **UNIFORM)
+    known = pulled(cold, chain, 3.0, 1.0, points=11)
+    for kT in (1e-5, 1e-9, 1e-13, 1e-17):
+        warm = replace(cold, thermal=Thermal(kT))
+        found = pulled(warm, chain, 3.0, 1.0, points=11)
+        assert found.lives == known.lives
+        off = np.abs(found.X - known.X).max()
+        assert off < 1e3 * kT + 1e-12
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from eqsim import Aging, Delay, Drive, Ensemble, Thermal, trajectory
+from eqsim import (
+    Aging,
+    Delay,
+    Drive,
+    Ensemble,
+    Programme,
+    Segment,
+    Thermal,
+    trajectory,
+)
 from eqsim.cli.app import app
 from eqsim.engine.blocks import Totals
 
@@ -239,6 +248,18 @@ def test_few_shares_small_messages_and_progress(replicas):
         sums += 2 * 101 + (math.ceil(replicas / 12) + 1) * 101
     assert max(executor.returned) < 8 * sums + 1000
     assert told[-1] == found[-1]
+
+
+def test_forces_of_many_replicas_from_workers():
+    """The scatter of all replicas tells errors of segments, on workers, too."""
+    ensemble = Ensemble(count=10, stiffness_law="uniform")
+    slide = Programme([Segment(1.0, distance=2.0), Segment(0.5, distance=2.0)])
+    here, there = (
+        trajectory(ensemble, slide, points=11, replicas=65, threads=threads)
+        for threads in (1, (Watched(), 3))
+    )
+    assert here.segments == there.segments
+    assert here.force_replicas.tobytes() == there.force_replicas.tobytes()
 
 
 def test_no_block_below_the_lanes():

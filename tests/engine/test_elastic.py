@@ -840,3 +840,21 @@ def test_elastic_length_of_materials():
         "E of the walls is not given"
         in call("material", "octamethylcyclotetrasiloxane").stdout
     )
+
+
+@pytest.mark.parametrize("kT", [0.0, 0.1])
+def test_averages_do_not_depend_on_records(kT):
+    """Whether the start is forgotten is told from the second half itself."""
+    ensemble = Ensemble(thermal=Thermal(kT), count=400, stiffness_law="uniform")
+    chain = Elastic(blocks=20, coupling=1.0, drive_stiffness=0.5)
+    for distance in (3.0, 10.0):
+        drive = Drive(1.0, distance=distance, elastic=chain)
+        few, many = (
+            elastic_trajectory(ensemble, drive, points=points, replicas=8)
+            for points in (2, 101)
+        )
+        assert few.friction.reliable == many.friction.reliable
+        assert few.size.reliable == many.size.reliable
+        assert few.friction.value == pytest.approx(
+            many.friction.value, rel=1e-12, abs=0
+        )

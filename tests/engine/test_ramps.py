@@ -98,7 +98,7 @@ def compare(found, uniform, expected):
     """Of `moments` of one contact that does all: sums, and sums of squares less the
     square of the sum."""
     run, deposits = found.run, found.deposits
-    force, pinned, variance = moments(deposits, scales(uniform), run, 1, 0.0)
+    force, pinned, variance, _ = moments(deposits, scales(uniform), run, 1, 0.0)
     np.testing.assert_allclose(force, expected[0], rtol=ROUNDING, atol=ROUNDING)
     np.testing.assert_array_equal(pinned, expected[1])
     # few contacts have a smaller sum of squares than the square of their sum: compare

@@ -300,7 +300,7 @@ def test_many_contacts_know_their_errors(ensemble):
     constant_drive(c, Fresh(), run, scales, key(1, TRAJECTORY), 0.0).simulate(
         total, 0, n
     )
-    _, _, variance = moments(total.deposits, scales, run, n, drag)
+    _, _, variance, _ = moments(total.deposits, scales, run, n, drag)
     born = births(c)
     fresh, level = scatter(c, born, 8.0, drag), scatter(c, born, None, drag)
     quoted, rare = known_variance(fresh.at(np.linspace(0, 8.0, 41)), level, variance, n)

@@ -13,6 +13,7 @@ from scipy import integrate, linalg, stats
 from eqsim import (
     Aging,
     Delay,
+    Delta,
     Drive,
     Ensemble,
     Gamma,
@@ -691,6 +692,18 @@ def test_few_replicas_of_few_contacts_have_errors():
                 off = np.abs(getattr(found, name) - getattr(known, name))[1:]
                 assert np.all(error[1:] > 0.0)
                 assert np.all(off < 4.5 * error[1:])
+
+
+@pytest.mark.parametrize("kT", [0.0, 0.01])
+def test_slips_of_a_whole_record(kT):
+    """Ten equal contacts behind a spring slip together, all at an instant. The spring is
+    loaded before the first slip and after the last one, break by break and event by
+    event, so that none is cut by the record."""
+    ensemble = Ensemble(Delta(1.0), Thermal(kT), count=10, **UNIFORM)
+    found = pulled(ensemble, 15.9, Stage(0.1), points=160, velocity=1.0)
+    assert found.avalanches is not None
+    assert all(slip.begun and slip.ended for slip in found.slips)
+    assert found.drop.n == len(found.slips) - 1 >= 4
 
 
 def test_periods_of_short_records():

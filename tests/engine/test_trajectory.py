@@ -23,6 +23,7 @@ from eqsim import (
     Ensemble,
     Gamma,
     InputError,
+    Newborn,
     Table,
     Thermal,
     reference,
@@ -480,7 +481,7 @@ def test_a_contact_does_not_depend_on_the_others():
     constant_drive(c, Fresh(), run, scales, key(1, TRAJECTORY), 0.0).simulate(
         second, 1, 2
     )
-    force, _, _ = moments(second.deposits, scales, run, 1, 0.0)
+    force, *_ = moments(second.deposits, scales, run, 1, 0.0)
     np.testing.assert_allclose(
         both.force[::10], 0.5 * (alone.force + force), rtol=0, atol=1e-12
     )
@@ -564,6 +565,24 @@ def test_without_delay_the_pinned_fraction_is_exact(stiffness_law):
     )
     assert (run.averages.pinned.value, run.averages.pinned.stderr) == (1.0, 0.0)
     assert run.averages.pinned.reliable
+
+
+def test_stretches_of_many_short_lives():
+    """Contacts born close to their thresholds (a travel of 1/5000 of them) break so
+    often that their stretches add up to 5000 times the distance (|z| < 4.5 of both, a
+    false alarm of 1.4e-5)."""
+    ensemble = Ensemble(
+        count=10,
+        stiffness_law="uniform",
+        newborn=Newborn("delta", of="threshold", stretch=0.9998),
+    )
+    level = steady(ensemble, Drive(1.0))
+    run = trajectory(ensemble, Drive(1.0, distance=20.0), points=11)
+    for name in ("break_stretch", "birth_stretch"):
+        exact = getattr(level, name)
+        found = getattr(run.averages, name)
+        assert found.reliable
+        assert abs(z_score(found, exact.value, exact.stderr)) < 4.5
 
 
 def test_laws_too_broad_to_add_up():

@@ -1,6 +1,8 @@
 """Normal load that steps or grows: reference against closed forms, simulation against
 the reference, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from command_line import call
@@ -124,6 +126,19 @@ def test_simulation_beside_the_reference():
     assert abs(np.mean(np.square(z)) - 1.0) < 4.5 * 0.22
     assert np.abs(wrong)[:, 1:].max() > 10.0
     assert exact.t == pytest.approx(run.t, rel=1e-12, abs=0)
+
+
+def test_scatter_after_a_fall():
+    """A quarter of 400 contacts scatter as an interface of 100 does, times a quarter:
+    400 replicas each, whose standard deviations are known to 3.5 % (|z| < 4.5 of their
+    ratio, a false alarm of 7e-6)."""
+    contacts = Ensemble(Gamma(1.0), count=400, stiffness_law="uniform")
+    slide = Segment(1.0, distance=4.0)
+    fall = Programme([slide, Segment(1.0, distance=0.5, load=0.25)])
+    run = trajectory(contacts, fall, points=10, replicas=400)
+    few = trajectory(replace(contacts, count=100), Drive(1.0, 4.5), replicas=400)
+    ratio = run.force_replica_std[-1] / (0.25 * few.force_replica_std[-1])
+    assert abs(ratio - 1.0) < 4.5 * 0.05
 
 
 def test_refusals(tmp_path):
