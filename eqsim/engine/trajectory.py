@@ -41,9 +41,8 @@ _OF_LOAD = 1_000_000  # names streams of contacts that a load adds
 # least and at most.
 _PIECES_PER_LIFE, _FEWEST_PIECES, _MOST_PIECES = 4, 16, 200
 _MOST_FORCES = 50_000_000  # that are kept of all contacts ramps add, for memory
-_LEAST_ADDED = (
-    32  # contacts that are added at an instant and simulated, for their scatter
-)
+# Fewest contacts that are added at an instant and simulated, for their scatter.
+_LEAST_ADDED = 32
 _UNCOUNTED = 1000  # lives, so few that exceeding `max_lives` by them does not matter
 # Square of a mean over its expectation: exceeded by chance once in 2e6 runs (one degree
 # of freedom).
