@@ -218,8 +218,7 @@ def _score_end(
     if not (enough and _many(_mean_squares(level, group, end.drive, pilot))):
         return scores + point.without(kinds[1:], "few contacts")
     ours = mean_of(_mean_squares(level, group, end.drive, groups), 0, _GROUPS - 1)
-    off = (end.variance.stderr or 0.0) + _rounding(group, end.drive)
-    return [*scores, point.score(kinds[1], ours, replace(end.variance, stderr=off))]
+    return [*scores, point.score(kinds[1], ours, end.variance)]
 
 
 def _affordable(
@@ -506,13 +505,6 @@ def _forces(
         forces[index] = force[[0, -1]] * unit
         variances[index] = variance[[0, -1]] * unit**2
     return forces, variances
-
-
-def _rounding(ensemble: Ensemble, drive: Drive | Programme) -> float:
-    """Resolution of the square of a force, which is coarse beside it where contacts far
-    stronger than the usual ones may come along."""
-    square = float(_job(ensemble, drive, 0).steps[-1].scales.deposits.square)
-    return ensemble.thresholds.scale**2 / square
 
 
 def _job(ensemble: Ensemble, drive: Drive | Programme, seed: int) -> Steps:

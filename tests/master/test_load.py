@@ -191,6 +191,7 @@ BONDS = Ensemble(
 )
 
 
+@pytest.mark.verification
 def test_ramps_of_bonds():
     """Force and pinned share along a ramp, with its newest contacts, by the rate
     equations; exact means within the error that is told. Of 4 simulations 2 x 4 x 10
