@@ -162,7 +162,9 @@ def test_refusals(tmp_path):
     assert not Programme([even], stage=Stage(1.0)).loaded
 
 
-@pytest.mark.parametrize("after", [0.0, 3.0])
+@pytest.mark.parametrize(
+    "after", [0.0, pytest.param(3.0, marks=pytest.mark.verification)]
+)
 def test_ramps_far_longer_than_a_threshold(after):
     """A ramp of 20 thresholds, and what comes later: contacts added at s are as far
     along at t as those of a fresh start at t - s. So F = F_0 + int load rate F_0 ds, by

@@ -832,6 +832,7 @@ def test_squares_that_happen_to_be_small_have_errors_of_the_usual_size():
     assert far <= 75 < 85 < alone
 
 
+@pytest.mark.verification
 def test_squares_rounded_beside_far_stronger_contacts():
     """Lognormal thresholds, the strongest of which are 1e12 times the usual ones: after
     a reversal squares are stored to .1. The variance along a programme has no bias by
