@@ -104,19 +104,19 @@ def fit(
         return
     if options.posterior:
         require_package("posterior", "emcee", "corner")
-    other, rivals = None, {}
+    other, rivals = None, dict[str, Any]()
     if options.compare == Path(RIVAL):
         rivals = _both_laws(file, options.data)
     elif options.compare is not None:
-        other = runfile.load(options.compare)
+        theirs = runfile.load(options.compare)
         ours = fitting.prepare(file, options.data, options.allow_degenerate)
-        fitting.rival_of(ours.fit, ours.table, other, options.starts)  # its own errors
+        other = fitting.rival_of(ours.fit, ours.table, theirs, options.starts)
     keep = fitting.Keep(out, partial(_tell_estimates, out, shown))
     with shown.bar("fitting", "fits") as progress:
         how: dict[str, Any] = {"allow_degenerate": options.allow_degenerate}
         how |= {"workers": count, "progress": progress, "keep": keep}
         found = fitting.fit(file, data=options.data, starts=options.starts, **how)
-        rival = fitting.compared(found, other, options.starts) if other else None
+        rival = fitting.compared(found, *other) if other else None
     files = report.write(found, out, path.stem)
     lines, sampled = list(report.remarks(found)), None
     if options.posterior:

@@ -686,10 +686,9 @@ def rival_of(
     return problem, every
 
 
-def compared(result: FitResult, other: RunFile, starts: int) -> Goodness:
-    """Agreement of another model with the same measurements and errors. Raises
-    InputError."""
-    problem, every = rival_of(result.fit, result.table, other, starts)
-    problem = replace(problem, correlation=result.problem.correlation)
+def compared(result: FitResult, rival: Problem, every: list[Array]) -> Goodness:
+    """Agreement of another model, fitted from its starts, with the same measurements
+    and errors."""
+    problem = replace(rival, correlation=result.problem.correlation)
     minima = [_search(problem)(problem, u) for u in every]
     return goodness(problem, min(minima, key=lambda one: one.chi2).u)

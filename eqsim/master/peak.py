@@ -4,8 +4,8 @@ are still in step.
 Runs, fits and the exact mean use this definition: the first of the maxima within four
 rms thresholds that are as high as the highest one within errors; or the highest point
 within half an rms threshold after it. Of contacts without thresholds the mean travel of
-a life is in the place of the rms threshold. The peak is not the largest force of a run, which may
-be a later maximum of contacts in step, by rounding or by chance.
+a life is in the place of the rms threshold. The peak is not the largest force of a run,
+which may be a later maximum of contacts in step, by rounding or by chance.
 """
 
 import math

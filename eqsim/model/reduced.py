@@ -2,8 +2,8 @@
 engine and the reference alike.
 
 Lengths are in units of the threshold law's scale x_* (of a named law its x_* or unit,
-else the mean threshold), time is displacement at the velocity v, stiffness is in units of k and
-energy in units of kT. What a key of a run file is called afterwards, and where:
+else the mean threshold), time is displacement at the velocity v, stiffness is in units
+of k and energy in units of kT. What a key of a run file is called afterwards, and where:
 
     thermal.kT                 b         k x_*^2/(2 kT)         barrier, `Ensemble.b`
     thermal.attempt_frequency  log_w     ln(omega x_*/v)        barrier

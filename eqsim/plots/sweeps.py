@@ -207,10 +207,10 @@ def sweep_figure(
     values at the points (`y`_reference); points of `status` "unreliable", or of which y
     is not reliable, are open, those of "failed" left out. The x axis is logarithmic if
     `log_x`, or by default if its values span more than a factor 30. More than eight
-    series have a colour bar if the first column is of numbers. A `width` in inches is that on paper, where text has
-    7 and 8 points. Raises InputError if a column is missing or is not of numbers, if a
-    parameter other than `x` and `by` varies (one of `output` does not count: it changes
-    no average), or if nothing is left to draw.
+    series have a colour bar if the first column is of numbers. A `width` in inches is
+    that on paper, where text has 7 and 8 points. Raises InputError if a column is
+    missing or is not of numbers, if a parameter other than `x` and `by` varies (one of
+    `output` does not count: it changes no average), or if nothing is left to draw.
     """
     x, *ys = columns
     by = list(by or [])

@@ -169,8 +169,8 @@ def _programme(
 
 
 def _late_force(run: SliderTrajectory | ChainTrajectory) -> RowCells:
-    """Columns of the mean force over the second half of the time of a run, with its error from the
-    scatter of replicas; none of a single one."""
+    """Columns of the mean force over the second half of the time of a run, with its
+    error from the scatter of replicas; none of a single one."""
     if run.force_replicas is None:
         return {}
     half = 0.5 * run.t[-1]

@@ -844,7 +844,8 @@ def test_elastic_length_of_materials():
 
 @pytest.mark.parametrize("kT", [0.0, 0.1])
 def test_averages_do_not_depend_on_records(kT):
-    """Whether the start is forgotten is told from the second half itself."""
+    """The second half itself tells whether the start is forgotten, however few records
+    there are; values agree to rounding."""
     ensemble = Ensemble(thermal=Thermal(kT), count=400, stiffness_law="uniform")
     chain = Elastic(blocks=20, coupling=1.0, drive_stiffness=0.5)
     for distance in (3.0, 10.0):

@@ -34,7 +34,7 @@ from eqsim.fitting.estimate import (
     search,
     starts,
 )
-from eqsim.fitting.fit import compared, fit, goodness, prepare
+from eqsim.fitting.fit import compared, fit, goodness, prepare, rival_of
 from eqsim.fitting.model import Problem
 from eqsim.fitting.pictures import band
 from eqsim.fitting.section import NormalPrior, Parameter, parameters_of, section_of
@@ -436,20 +436,24 @@ def test_compared_at_the_same_temperatures(folder):
 
     prepared = prepare(other(), None, False)
     first = SimpleNamespace(**prepared._asdict())
-    same = compared(first, other(), 1)
-    moved = compared(first, other(0.2 * 300.0 / 260.0, 300.0), 1)
+
+    def rival(file):
+        return rival_of(first.fit, first.table, file, 1)
+
+    same = compared(first, *rival(other()))
+    moved = compared(first, *rival(other(0.2 * 300.0 / 260.0, 300.0)))
     assert moved.chi2 == pytest.approx(same.chi2, rel=1e-6, abs=0)
     with pytest.raises(InputError, match=r"delay\.time: is a column of the data"):
-        compared(first, other(**{"delay.time": {"bounds": [1e-3, 1.0]}}), 1)
+        rival(other(**{"delay.time": {"bounds": [1e-3, 1.0]}}))
     with pytest.raises(InputError, match=r"fit\.temperature must be the same"):
-        compared(first, load(folder / "run.toml"), 1)
+        rival(load(folder / "run.toml"))
     with pytest.raises(
         InputError, match=r"temperature: has no effect with thermal\.kT"
     ):
         prepare(other(kT=0.0), None, True)
     content["drive"] = {"programme": [{"velocity": 1.0, "distance": 1.0}]}
     with pytest.raises(InputError, match=r"drive\.programme: not allowed"):
-        compared(first, other(), 1)
+        rival(other())
 
 
 def test_another_model_is_refused_before_the_fit(folder):

@@ -531,7 +531,7 @@ def test_a_recorded_drive(tmp_path):
 
 
 def test_defaults_that_are_written_out_change_nothing():
-    """Of a constant drive, which is no programme then; a motor that stalls is one."""
+    """A constant drive is no programme with these; a motor that stalls is one."""
     given = {"velocity": 0.1, "distance": 5.0}
     usual = {"stall_force": math.inf, "rebinding": "unstretched"}
     file = check({"drive": given | usual})

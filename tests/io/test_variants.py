@@ -255,6 +255,7 @@ def test_short_records_are_smoothed_or_refused(tmp_path):
     for size in (12, 13, 14):
         X = np.minimum(np.linspace(0.0, 40.0, size), 20.0).tolist()
         found = [[one.velocity, one.time] for one in smoothed(X)]
+        # lines take rows to have errors of 1e-9 of their range, here 2e-8
         np.testing.assert_allclose(found, [[1.0, 20.0], [0.0, 20.0]], rtol=0, atol=1e-6)
         with pytest.raises(InputError, match=r"needs 12 instants .* smooth = true"):
             smoothed(X[:-3])
