@@ -44,6 +44,9 @@ _APART = 1.0
 # The rule of an inner panel, and its relative error.
 _INNER = gauss_legendre(14)
 _INNER_ERROR = 1e-11
+# The share of their time up to a threshold that bonds live, below which stronger ones,
+# whose rate is no smaller, do not count.
+_SPENT = 1e-10
 
 # The first panels of births in ln(-ln J_c(xi)), from 2^-50 to 500.
 BIRTHS = np.array([-34.7, -20.0, -12.0, -7.0, -4.0, -2.0, -0.5, 0.75, 1.75, 2.75,
@@ -184,13 +187,15 @@ def quenched_moments(every: Sequence[Reduced], *, square: bool = False) -> LifeM
         last = np.asarray(law.inverse_survival(np.exp(BIRTHS[-1:]))) / law.scale
 
         def unbroken(xi: Array) -> Array:
-            return np.log(kappa_of(contacts, xi) ** 2 * xi**3 / 3.0)[None]
+            square = 2.0 * np.log(kappa_of(contacts, xi)) + 3.0 * np.log(xi)
+            return np.asarray(square - math.log(3.0))[None]
 
         far, missed = means_above(law, float(last[0]), unbroken)
         # heat shortens these lives, at most by as much as here
-        shortened = 1.0 - moments(last)[-log_w.size :, 0] / np.exp(unbroken(last)[0])
-        total[2] += far
-        error[2] += missed + shortened * far
+        alive = moments(last)[-log_w.size :, 0] / np.exp(unbroken(last)[0])
+        here = ~(barrier.lasting & (alive < _SPENT))
+        total[2, here] += far
+        error[2, here] += missed + (1.0 - alive[here]) * far
     birth = np.zeros((1, log_w.size))
     rows = np.concatenate((total[:2], error[:2], birth, total[2:], error[2:]))
     return LifeMoments(*rows)
@@ -269,9 +274,10 @@ def integrals_beyond(contacts: Reduced, x: float, alive: float) -> tuple[Array, 
     negligible, however large x.
 
     No heat breaks contacts that far: what reaches x, the fraction `alive`, survives to
-    its threshold. Pooled attempts are over before (derived: their number beyond x is
-    less than (omega/v) E[xi - x; xi > x]); those on a contact's barrier may still
-    shorten lives, at most by the fraction by which they have done so at x.
+    its threshold. Bonds whose rate stays as large with their strength are gone. Pooled
+    attempts are over before (derived: their number beyond x is less than (omega/v) E[xi
+    - x; xi > x]); those on a contact's barrier may still shorten lives, at most by the
+    fraction by which they have done so at x.
     """
     if contacts.law.steps.size or isinstance(contacts.law, (Gamma, PooledThresholds)):
         # rarer than exp(-45), and no power law
@@ -290,6 +296,8 @@ def integrals_beyond(contacts: Reduced, x: float, alive: float) -> tuple[Array, 
         return np.array([power + j * log_kappa for power in powers for j in range(3)])
 
     share = min(max(alive / left, 0.0), 1.0)
+    if contacts.barrier.lasting and share < _SPENT:
+        return np.zeros((3, 3)), np.zeros((3, 3))
     means = means_above(contacts.law, least, log_values)
     found, error = (share * part.reshape(3, 3) for part in means)
     if contacts.barrier.thermal and not contacts.annealed:

@@ -150,7 +150,7 @@ def reference(
         name: Estimate(float(value[0]), float(error[0]), 0)
         for name, (value, error) in _observables(ensemble, (v,), lives).items()
     }
-    if divergence:
+    if divergence or found["force_variance"].value == math.inf:
         found["force_variance"] = infinite()
     elif np.isnan(lives.square).any():
         found["force_variance"] = Estimate(None, None, 0, None, False)

@@ -488,6 +488,11 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
         beyond, missed_beyond = integrals_beyond(s, end, alive)
     # int_0^inf y^power (S, k1, k2) dy, k1 and k2 being E[(k_i/k)^p; l > y], p = 1, 2
     total = beyond + [profile.integral(_EVERYTHING, power)[:, 0] for power in range(3)]
+    if not np.isfinite(total).all():
+        raise InputError(
+            "fluctuations: bonds too strong to be followed make the variance of forces; "
+            "their rate must be larger"
+        )
     for step in (2, 1):
         x = cells.x[::step]
         # int_x^inf y^power (S, k1, k2) dy

@@ -252,13 +252,18 @@ class Ensemble(Checked):
 
         At T = 0 a life contributes k_i^2 xi^3/3. Neither heat nor age shortens the
         strongest lives by more than a factor: barriers outgrow temperature, pooled
-        attempts are a finite number.
+        attempts are a finite number. But the rate of quenched bonds that depends on
+        their force alone cuts lives off at a stretch that thresholds do not raise.
         """
         if self.populations:
             found = (kind.contacts.divergence for kind in self.kinds)
             return next(filter(None, found), "")
         if self.delay_time(1.0) == math.inf:
             return ""  # all contacts are detached
+        b, rate, *others = self._barrier_numbers
+        law: Any = BARRIERS[self.thermal.barrier]
+        if rate > 0 and self.disorder == "quenched" and law(b, 0.0, *others).lasting:
+            return ""
         power = 5 if self.stiffness_law == "sqrt" else 3
         if isinstance(self.thresholds, Gamma) or not diverges(self.thresholds, power):
             return ""

@@ -29,6 +29,7 @@ from eqsim import (
     Lognormal,
     Newborn,
     Pareto,
+    Pathway,
     Table,
     Thermal,
     Uniform,
@@ -448,6 +449,72 @@ def test_no_variance(name):
         )
         assert stationary.force_variance is None
         found.plot()
+
+
+BONDS = {
+    "bell": Thermal(barrier="bell", off_rate=0.1, force_scale=0.5),
+    "constant": Thermal(barrier="bell", off_rate=0.3, force_scale=math.inf),
+    "catch-slip": Thermal(
+        barrier="catch-slip", catch=Pathway(1.0, 0.3), slip=Pathway(0.05, 0.6)
+    ),
+}
+
+
+def square_of_bonds(thermal: Thermal, exponent: float) -> float:
+    """Variance of the force of quenched bonds of P(xi > x) = x^-exponent, k_i = xi/xi_rms,
+    at v = 1, by sums over ranks and stretches."""
+    paths = thermal.catch, thermal.slip
+    if thermal.barrier == "bell":
+        paths = Pathway(0.0, 1.0), Pathway(thermal.off_rate, thermal.force_scale)
+    nodes, weights = np.polynomial.legendre.leggauss(300)
+    rank, share = np.polynomial.legendre.leggauss(8)
+    ends = np.concatenate(
+        (np.linspace(0.0, 10.0, 21), np.geomspace(10.0, 300.0, 21)[1:])
+    )
+    width = np.diff(ends)[:, None] / 2.0
+    e = (ends[:-1, None] + width * (1.0 + rank)).ravel()
+    births = (width * share).ravel() * np.exp(-e)
+    xi = np.exp(e / exponent)[:, None]
+    k = xi * math.sqrt(1.0 - 2.0 / exponent)
+    # until the slip pathway alone has a hazard of 60
+    closed, opened = (np.maximum(k / path.force, 1e-12) for path in paths)
+    last = np.log1p(60.0 * opened / paths[1].rate) / opened
+    half = np.minimum(last, xi) / 2.0
+    y = half * (1.0 + nodes)
+    hazard = -paths[0].rate * np.expm1(-closed * y) / closed
+    hazard += paths[1].rate * np.expm1(opened * y) / opened
+    alive = np.exp(-hazard) * weights * half
+    life, work, square = (births @ (alive * (k * y) ** p).sum(1) for p in range(3))
+    return float(square / life - (work / life) ** 2)
+
+
+@pytest.mark.parametrize("name", BONDS)
+def test_bonds_have_a_variance(name):
+    """The rate of bonds does not fall with their strength: <xi^5> may diverge. Of a
+    catch bond that force closes it does, and without a rate."""
+    exact = square_of_bonds(BONDS[name], 4.0)
+    bonds = Ensemble(Pareto(4.0), BONDS[name], stiffness_law="sqrt")
+    assert bonds.divergence == ""
+    found = reference(bonds, Drive(1.0), variance=True).force_variance
+    # both sums are right to some 1e-10
+    assert abs(found.value - exact) < found.stderr + 1e-8 * exact
+    seen = steady(bonds, Drive(1.0), rel_error=1e-3).force_variance
+    assert abs(z_score(seen, exact)) < 4.5
+    later = fluctuations(bonds, Drive(1.0, distance=1.0), 3)
+    assert abs(later.covariance[0] - exact) < later.error[0] + 1e-8 * exact
+
+
+def test_bonds_without_a_variance():
+    for thermal in (
+        Thermal(barrier="catch-slip", catch=Pathway(1.0, 0.3), slip=Pathway(0.0, 1.0)),
+        Thermal(barrier="bell", off_rate=0.0, force_scale=1.0),
+    ):
+        bonds = Ensemble(Pareto(4.0), thermal, stiffness_law="sqrt")
+        assert "<xi^5> diverges" in bonds.divergence
+    rare = Thermal(barrier="bell", off_rate=1e-8, force_scale=math.inf)
+    bonds = Ensemble(Pareto(4.0), rare, stiffness_law="sqrt")
+    with pytest.raises(InputError, match="bonds too strong to be followed"):
+        fluctuations(bonds, Drive(1.0, distance=1.0), 3)
 
 
 def test_where_a_variance_ends():

@@ -102,6 +102,11 @@ class Barrier(Law):
         ratio = thermal.kT / (stiffness * unit * unit)
         return ratio, thermal.attempt_frequency * unit / velocity
 
+    @property
+    def lasting(self) -> bool:
+        """True if the rate does not vanish as contacts become stronger and stiffer."""
+        return False
+
     def in_unit(self, unit: float) -> float:
         """b with lengths in units of `unit`."""
         return self.b * (unit if self.by_force else unit**2)

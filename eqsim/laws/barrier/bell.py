@@ -34,6 +34,10 @@ class ByForce(Barrier):
         return np.full(np.broadcast(exponent, y, a).shape, math.inf)
 
     @property
+    def lasting(self) -> bool:
+        return True
+
+    @property
     def opened_alone(self) -> "ByForce":
         """The bond without the pathway that force closes."""
         return self

@@ -41,6 +41,10 @@ class CatchSlip(_Numbers, ByForce):
     b_words: ClassVar[str] = "k x_*/min(catch.force, slip.force)"
 
     @property
+    def lasting(self) -> bool:
+        return self.log_slip > -math.inf or self.catch == 0.0
+
+    @property
     def opened_alone(self) -> "CatchSlip":
         return self._replace(log_catch=-math.inf)
 
