@@ -57,7 +57,10 @@ _TREND = 'Friction changes in proportion to the "displacement" of the load point
 _VELOCITIES = (
     "Of a CSV file: velocities of the load point, one after the other; 0: a hold."
 )
-_AT = "Of a CSV file: when the velocity changes, in the record's time, one less."
+_AT = (
+    "Of a CSV file: times at which the velocity changes, with commas between them; one "
+    "fewer than velocities."
+)
 _COLUMNS = (
     "Of a CSV file: names of the columns of time, force and, unless --noise is given, "
     "standard error. Default: the first ones."
@@ -195,7 +198,7 @@ class RecordOptions:
     trend: Annotated[str, Option(help=_TREND)] = "displacement"
     starts: Annotated[int, Option(help="Points from which least squares begin.")] = 8
     velocity: Annotated[str | None, Option(metavar="V,V", help=_VELOCITIES)] = None
-    at: Annotated[str | None, Option(metavar="T", help=_AT)] = None
+    at: Annotated[str | None, Option(metavar="T,...", help=_AT)] = None
     columns: Annotated[str | None, Option(metavar="TIME,FORCE", help=_COLUMNS)] = None
     noise: Annotated[float, Option(help=_NOISE)] = 0.0
 

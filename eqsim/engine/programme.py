@@ -41,7 +41,7 @@ from eqsim.numerics.tables import Array
 
 # Contacts that go through all segments together: their population stays in the cache.
 _HANDED_ON_TOGETHER = 8192
-_MOST_PULLED = 20_000_000  # contacts with a stage: all are kept at once, 120 bytes each
+_MOST_PULLED = 20_000_000  # contacts with a stage: all are kept at once, 56 bytes each
 # Parts of the contacts of one ensemble, whose scatter tells errors of differences of
 # two forces: Student's law of 7 is 1.09 times as wide as the normal one in 68 %.
 LEAST_PARTS, _MOST_PARTS = 8, 64

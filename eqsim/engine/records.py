@@ -103,8 +103,8 @@ class Record(ForceRecord):
 @dataclass(frozen=True, repr=False)
 class Trajectory(Record):
     """A record at constant velocity, with `averages` over the second half of the
-    distance; these are unreliable also where the law predicts a transient in it, or too
-    few of the lives that make up their scatter (`engine.scatter`)."""
+    distance; these are unreliable also where the law predicts a transient there, or too
+    few of the lives that make up their scatter."""
 
     averages: Averages
 
@@ -200,8 +200,9 @@ class ProgrammeTrajectory(Record):
 
 @dataclass(frozen=True)
 class Slip:
-    """A slip of a slider that a stage pulls: its spring relaxes faster than the stage
-    loads it, by `model.slip` or more.
+    """A slip of a slider that a stage pulls: the spring shortens by at least a quarter
+    of the width of the threshold law before it lengthens by as much, while the slider
+    moves more than twice as fast as the stage at its fastest.
 
     Attributes
     ----------

@@ -74,8 +74,8 @@ _LEAST_J = 1e-13
 
 @dataclass(frozen=True, repr=False)
 class Closure(Result):
-    """A transient from a fresh start, arrays of shape (points,). Every contact is
-    pinned at all times.
+    """The transient of annealed contacts whose pool of thresholds ages, from a fresh
+    start, arrays of shape (points,). Every contact is pinned at all times.
 
     Attributes
     ----------
