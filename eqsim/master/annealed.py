@@ -75,8 +75,9 @@ _LEAST_RATE = 1e-290
 _LONGEST_LIFE = 40.0
 # The relative step towards the fixed point C that ends the search.
 _SETTLED_C = 1e-12
-# Most steps of the secant rule.
-_MOST_SECANTS = 50
+# Steps of the secant rule, after which intervals are halved, and most of both.
+_MOST_SECANTS = 30
+_MOST_STEPS = 100
 # The relative change of C whose effect on C tells how errors grow.
 _CHANGE_OF_C = 1e-4
 
@@ -237,6 +238,7 @@ class _Solution:
         error = of.errors.sum(axis=2) + self.missed_rate(p, of) + _LEAST_ERROR * total
         grown = np.ones(len(self.stretch))
         if self.ages:  # an error of C moves births, and these C again
+            error += total * np.abs(np.log(total[0] / self.stretch))
             error += np.abs(total - self.integrals(p, self.stretch, 2).total)
             moved = self.integrals(p, self.stretch * math.exp(_CHANGE_OF_C))
             slope = np.log(moved.total[0] / total[0]) / _CHANGE_OF_C
@@ -348,7 +350,8 @@ class _Solution:
         return rough & (width > _NARROWEST_IN_X * panels.right), of
 
     def settle(self, panels: Panels) -> None:
-        """Find the fixed point C by the secant rule at each velocity."""
+        """Find the fixed point C by the secant rule at each velocity, within what is
+        known to be less and greater than it."""
 
         def excess(log_C: Array) -> Array:
             C = self.integrals(panels, np.exp(log_C)).total[0]
@@ -356,16 +359,24 @@ class _Solution:
 
         old = np.log(self.stretch)
         off = excess(old)
+        less, more = np.where(off > 0, old, -np.inf), np.where(off < 0, old, np.inf)
         new = old + off
-        for _ in range(_MOST_SECANTS):
+        for number in range(_MOST_STEPS):
             fresh = excess(new)
             if np.abs(new - old).max() < _SETTLED_C:
                 break
+            less = np.where(fresh > 0, np.maximum(less, new), less)
+            more = np.where(fresh < 0, np.minimum(more, new), more)
             with np.errstate(divide="ignore", invalid="ignore"):
                 step = -fresh * (new - old) / (fresh - off)
             # where both are known to the last bit, or the secant leads away
             step = np.where(np.isfinite(step) & (np.abs(step) < 2.0), step, fresh)
-            old, off, new = new, fresh, new + step
+            proposed = new + step
+            away = (proposed <= less) | (proposed >= more)
+            away |= number >= _MOST_SECANTS
+            away &= np.isfinite(more - less) & (np.abs(fresh) > _SETTLED_C)
+            old, off = new, fresh
+            new = np.where(away, 0.5 * (less + more), proposed)
         self.stretch = np.exp(new)
 
     def missed_rate(self, panels: Panels, of: _PanelIntegrals) -> Array:

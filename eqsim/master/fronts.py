@@ -173,9 +173,9 @@ def _add_hazard(contacts: Fronts, cohort: Cohort, z: Array, step: PathStep) -> N
         if min(low, high) > limit:
             break
         middle = height(barrier, xi * gm, xm, 0.5 * (a0 + a1))
-        # until x passes the threshold, if it does
-        passed = 0.5 * (min(x0, x1, xi * gm) + xi * gm)
-        p = dt * prefactor(barrier, xi * gm, min(xm, passed))
+        # until x passes the threshold, or that falls below x, if it does
+        gaps = max(xi * g0 - x0, 0.0) + max(xi * g1 - x1, 0.0)
+        p = dt * prefactor(barrier, xi * gm, min(xm, xi * gm - 0.5 * gaps))
         bent = 2.0 * abs(middle - 0.5 * (low + high)) / _STRAIGHTNESS
         halves = min(max(bent - 1.0, 0.0), 1.0)
         middle -= barrier.log_w
@@ -356,7 +356,9 @@ def _even_young(older: Array, newer: Array, log_ages: float) -> None:
     m (1 + s), the edges are c (1 -+ tanh t), tanh(t)/t = 1/(1 + s) (derived), to 1e-3
     of t here."""
     for k in range(newer.size):
-        power, share = (older[k] - newer[k]) / log_ages, math.exp(newer[k] - older[k])
+        # of contacts that are past their thresholds z may not grow with age
+        fall = max(older[k] - newer[k], 0.0)
+        power, share = fall / log_ages, math.exp(-fall)
         if power < 2.0:
             mean, even = 0.5 + 0.5 * share, min(2.0 - power, 1.0)
             ratio = (1.0 - share) ** 2 / (12.0 * mean * mean)

@@ -64,6 +64,8 @@ _SEGMENTS_COMPARED = 4
 _JITTER = 8
 # Relative error of steady averages.
 _REL_ERROR = 1e-4
+# Larger ones, for averages that all but vanish, as of contacts born against the motion.
+_REL_ERRORS = _REL_ERROR, 1e-3, 1e-2, 1.0
 # Contacts that carry the force (`_carrying`) from which on a mean over them is taken to
 # be normal, and a mean of squares.
 _ENOUGH_CONTACTS = 400
@@ -100,16 +102,8 @@ def compare_driven(point: Point, plan: Suite) -> Found:
         fluctuating: stride and number % stride == 2,
     }
     chosen = [compare for compare, wanted in asked.items() if wanted]
-    # `langevin` lives are slow: the first 65 536, which any error takes, are enough
-    rel_error = 1.0 if point.shown.fluctuates else _REL_ERROR
     try:
-        sampled = steady(
-            point.shown,
-            Drive(point.velocity),
-            rel_error=rel_error,
-            seed=point.suite_seed,
-            threads=point.threads,
-        )
+        sampled = _sampled(point)
         scores = averages(point, sampled)
         point = point._replace(shown=_held(point.shown, point.velocity, sampled))
     except InputError as error:
@@ -118,6 +112,26 @@ def compare_driven(point: Point, plan: Suite) -> Found:
             scores += compare.without(point, "refused", str(error))
         return scores
     return scores + [score for compare in chosen for score in compare(point, plan)]
+
+
+def _sampled(point: Point) -> Steady:
+    """Steady averages of the contacts of a point, to the first error that does not take
+    too many lives. Raises InputError for contacts that have none."""
+    # `langevin` lives are slow: the first 65 536, which any error takes, are enough
+    errors = _REL_ERRORS[-1:] if point.shown.fluctuates else _REL_ERRORS
+    for rel_error in errors:
+        try:
+            return steady(
+                point.shown,
+                Drive(point.velocity),
+                rel_error=rel_error,
+                seed=point.suite_seed,
+                threads=point.threads,
+                max_lives=0.1 * _MOST_LIVES,
+            )
+        except InputError as error:
+            refused = error
+    raise refused
 
 
 def _followed(ensemble: Ensemble) -> bool:

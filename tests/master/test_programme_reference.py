@@ -22,6 +22,7 @@ from eqsim import (
     Uniform,
     Weibull,
     reference,
+    trajectory,
     transient,
 )
 from eqsim.errors import InputError
@@ -131,6 +132,26 @@ def test_force_in_a_hold(hold):
     assert found.force[4] == pytest.approx(known, rel=0, abs=found.force_error[4])
     # the largest is 7e-6, most of it what interpolation may miss
     assert found.force_error[4] < 1e-5
+
+
+@pytest.mark.verification
+@pytest.mark.parametrize("barrier", ["cusp", "stiff"])
+def test_thresholds_that_shrink_past_the_stretch(barrier):
+    """Contacts of a laboratory whose thresholds shrink to a 65th and meet the stretch
+    within a step, beside simulated ones: four scores, |z| < 4.5, false alarm 3e-5."""
+    contacts = Ensemble(
+        Gamma(0.5, 2.3),
+        Thermal(4.5e-7, 6.5e5, barrier),
+        Delay(0.0013),
+        aging=Aging("flow", 0.00093, 0.035),
+        count=5000,
+    )
+    drive = Programme([Segment(0.27, distance=0.02, points=1)], "stationary", 0.45)
+    exact, seen = transient(contacts, drive, 2), trajectory(contacts, drive, seed=1)
+    for name in ("force", "pinned"):
+        value, error = getattr(seen, name), getattr(seen, f"{name}_stderr")
+        off = np.abs(value - getattr(exact, name))
+        assert np.all(off < 4.5 * np.hypot(error, getattr(exact, f"{name}_error")))
 
 
 APART = {
