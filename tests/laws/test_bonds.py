@@ -647,6 +647,7 @@ def test_rare_strong_contacts_set_the_mean_off_rate(law):
         assert found[0] == pytest.approx(exact, rel=1e-10, abs=0)
 
 
+@pytest.mark.verification
 def test_bonds_that_age_and_pull_harder():
     """Rates of annealed bonds that age are those of thresholds as rare as exp(-100):
     |z| < 4.5 (false alarm 1e-5). Without these z was 21."""

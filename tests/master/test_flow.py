@@ -272,6 +272,7 @@ def test_survivors_without_aging(barrier):
             assert found[power][j] == pytest.approx(plain, abs=1e-8)
 
 
+@pytest.mark.verification
 def test_rare_bonds_that_break_at_once():
     """Bonds that age as ln t and pull harder the stronger they are: the rarest ones of
     a power law live too short a time to be resolved, and what they add to the error is

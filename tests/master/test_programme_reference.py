@@ -901,6 +901,7 @@ def test_stationary_starts_of_contacts_that_hardly_move(law, velocity, delay, la
     assert np.all(off <= found.force_error)
 
 
+@pytest.mark.verification
 def test_stationary_starts_of_lives_far_shorter_than_steps():
     """Strong contacts of a share exp(-37) carry the force while others live 1e-10 of a
     step: the force is within its errors, which are small."""

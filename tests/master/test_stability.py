@@ -387,6 +387,7 @@ def test_border_of_heavy_tails(exponent, law, tau, shape):
     assert found.stderr < 1e-8
 
 
+@pytest.mark.verification
 def test_short_delays_resonate_with_both_edges_of_a_law():
     """The greatest -Re Z where Im Z = 0, at the third resonance, by a scan of a wide
     range."""
