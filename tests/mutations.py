@@ -747,7 +747,7 @@ MISTAKES = [
     M("many velocities: polynomial of x_*, not its square", "master/annealed.py", "t = (2.0 * log_square",
       "t = (log_square", "test_velocities.py::test_annealed_contacts_that_age"),
     M("master: C sought by secants wherever they lead", "master/annealed.py",
-      "away &= np.isfinite(more - less) &", "away &= False &",
+      "known = np.isfinite(more - less)", "known = np.zeros(new.size, bool)",
       "test_reference.py::test_births_that_hang_on_the_time_pinned"),
     M("master: error of C unheeded", "master/annealed.py", "grown * error)",
       "0.0 * error)", "test_reference.py::test_errors_of_self_consistent_births"),

@@ -40,6 +40,7 @@ from eqsim.master.quenched import (
 from eqsim.model.reduced import Reduced
 from eqsim.numerics.panels import ClenshawCurtis, Panels, refined
 from eqsim.numerics.quadrature import gauss_legendre
+from eqsim.numerics.roots import bisected
 from eqsim.numerics.tables import Array
 
 # Different thresholds of a discrete law at most, to bound time.
@@ -75,9 +76,9 @@ _LEAST_RATE = 1e-290
 _LONGEST_LIFE = 40.0
 # The relative step towards the fixed point C that ends the search.
 _SETTLED_C = 1e-12
-# Steps of the secant rule, after which intervals are halved, and most of both.
+# Most steps of the secant rule, and halvings where they do not meet.
 _MOST_SECANTS = 30
-_MOST_STEPS = 100
+_HALVINGS = 50
 # The relative change of C whose effect on C tells how errors grow.
 _CHANGE_OF_C = 1e-4
 
@@ -350,8 +351,8 @@ class _Solution:
         return rough & (width > _NARROWEST_IN_X * panels.right), of
 
     def settle(self, panels: Panels) -> None:
-        """Find the fixed point C by the secant rule at each velocity, within what is
-        known to be less and greater than it."""
+        """Find the fixed point C by the secant rule at each velocity; where that jumps
+        back and forth, by halving between what is known to be less and greater."""
 
         def excess(log_C: Array) -> Array:
             C = self.integrals(panels, np.exp(log_C)).total[0]
@@ -361,7 +362,7 @@ class _Solution:
         off = excess(old)
         less, more = np.where(off > 0, old, -np.inf), np.where(off < 0, old, np.inf)
         new = old + off
-        for number in range(_MOST_STEPS):
+        for _ in range(_MOST_SECANTS):
             fresh = excess(new)
             if np.abs(new - old).max() < _SETTLED_C:
                 break
@@ -371,12 +372,11 @@ class _Solution:
                 step = -fresh * (new - old) / (fresh - off)
             # where both are known to the last bit, or the secant leads away
             step = np.where(np.isfinite(step) & (np.abs(step) < 2.0), step, fresh)
-            proposed = new + step
-            away = (proposed <= less) | (proposed >= more)
-            away |= number >= _MOST_SECANTS
-            away &= np.isfinite(more - less) & (np.abs(fresh) > _SETTLED_C)
-            old, off = new, fresh
-            new = np.where(away, 0.5 * (less + more), proposed)
+            old, off, new = new, fresh, new + step
+        else:
+            known = np.isfinite(more - less)
+            ends = np.where(known, less, new), np.where(known, more, new)
+            new = bisected(lambda log_C: excess(log_C) > 0.0, *ends, _HALVINGS)[0]
         self.stretch = np.exp(new)
 
     def missed_rate(self, panels: Panels, of: _PanelIntegrals) -> Array:

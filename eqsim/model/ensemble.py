@@ -15,7 +15,7 @@ from eqsim.errors import (
     under,
 )
 from eqsim.laws.aging import RULES, Aging
-from eqsim.laws.barrier import BARRIERS
+from eqsim.laws.barrier import BARRIERS, Barrier
 from eqsim.laws.barrier.pooled import pooled_hazard_of
 from eqsim.laws.delay import Delay
 from eqsim.laws.newborn import Newborn
@@ -260,9 +260,8 @@ class Ensemble(Checked):
             return next(filter(None, found), "")
         if self.delay_time(1.0) == math.inf:
             return ""  # all contacts are detached
-        b, rate, *others = self._barrier_numbers
-        law: Any = BARRIERS[self.thermal.barrier]
-        if rate > 0 and self.disorder == "quenched" and law(b, 0.0, *others).lasting:
+        rate = self._barrier_numbers[1]
+        if rate > 0 and self.disorder == "quenched" and self._barrier.lasting:
             return ""
         power = 5 if self.stiffness_law == "sqrt" else 3
         if isinstance(self.thresholds, Gamma) or not diverges(self.thresholds, power):
@@ -285,18 +284,24 @@ class Ensemble(Checked):
         return law.numbers(self.thermal, self.stiffness, unit)
 
     @property
+    def _barrier(self) -> Barrier:
+        """The barrier in units of the law, at one attempt in a travel of its scale."""
+        b, _, *others = self._barrier_numbers
+        law: Any = BARRIERS[self.thermal.barrier]
+        barrier: Barrier = law(b, 0.0, *others)
+        return barrier
+
+    @property
     def crossover_velocity(self) -> float:
         """v_* (length/time) of the annealed ensemble of newborn thresholds, where
         Delta U(inf) = 1: eq. (26) of Braun and Peyrard (2011) with S_0 = 1, for every
         law (derived). 0 at kT = 0, infinite without thresholds."""
-        b, rate, *others = self._barrier_numbers
+        b, rate = self._barrier_numbers[:2]
         if math.isinf(b) or rate == 0:
             return 0.0
         if isinstance(self.thresholds, NoThresholds):
             return math.inf
-        law: Any = BARRIERS[self.thermal.barrier]
-        barrier = law(b, 0.0, *others)
-        pool = pooled_hazard_of(self.thresholds, self.stiffness_law, barrier, b)
+        pool = pooled_hazard_of(self.thresholds, self.stiffness_law, self._barrier, b)
         # no attempt succeeds at very low temperature
         total = pool.G[-1] if pool.G.size else 0.0
         return float(rate * self.thresholds.scale * total)

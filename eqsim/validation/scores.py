@@ -66,6 +66,8 @@ _JITTER = 8
 _REL_ERROR = 1e-4
 # Larger ones, for averages that all but vanish, as of contacts born against the motion.
 _REL_ERRORS = _REL_ERROR, 1e-3, 1e-2, 1.0
+# Lives of steady averages, at most.
+_MOST_STEADY = 1e7
 # Contacts that carry the force (`_carrying`) from which on a mean over them is taken to
 # be normal, and a mean of squares.
 _ENOUGH_CONTACTS = 400
@@ -127,7 +129,7 @@ def _sampled(point: Point) -> Steady:
                 rel_error=rel_error,
                 seed=point.suite_seed,
                 threads=point.threads,
-                max_lives=0.1 * _MOST_LIVES,
+                max_lives=_MOST_STEADY,
             )
         except InputError as error:
             refused = error
