@@ -183,7 +183,8 @@ def pace(
     sigma = math.sqrt(rate2)
     gap = max(xi - x, 1e-16 * xi)  # rounding may leave nothing
     drift = rate2 * (xi / final2 - (c.aging.shape + 0.5) / xi)
-    speed = abs(c.moves) + max(0.0, drift)
+    drift = max(drift, 0.0)
+    speed = abs(c.moves) + drift
     far = reaches(gap, sigma / step, speed)
     least = reaches(0.25 * step * xi, sigma, speed)
     h = min(max(far, least), most)
@@ -193,7 +194,9 @@ def pace(
     k0 = kappa(c.springs, xi)
     a = c.barrier.b * k0
     barrier, rate = height(c.barrier, xi, x, a), heat(c, xi, x)
-    slope, most_slope = slopes(c.barrier, xi, x, k0, c.springs.slope)
+    slope, most_slope, share = slopes(c.barrier, xi, x, k0, c.springs.slope)
+    # how thresholds move the barrier
+    sigma, speed = sigma * max(share, 1e-100), abs(c.moves) + share * drift
     while_here = gap if c.moves > 0.0 else max(gap, most)
     # -ln of the hazard over a travel as long as the gap
     quiet = max(barrier - c.barrier.log_w - log(while_here), 0.0)

@@ -55,6 +55,11 @@ _SPLIT_IN_X = np.array([0.0, 0.12, 0.5, 1.0])
 # The relative error that ends refinement, and its like for a mixture.
 _RESOLVED_IN_X = 2e-12
 _RESOLVED_MIXTURE = 1e-10
+# E up to which a layer below a threshold is a panel of its own at first.
+_LAYER = 8.0
+# The hazard that no contact outlives, and what may be missed of one that some do.
+_NONE_LEFT = 50.0
+_MOST_MISSED = 1e-7
 # The narrowest panel, relative to its right end.
 _NARROWEST_IN_X = 1e-14
 # Panels at most, and more of them for each threshold of a discrete law.
@@ -412,8 +417,19 @@ class _Solution:
         rising = first * _RISE_IN_X ** np.arange(
             math.ceil(math.log(top / first, _RISE_IN_X))
         )
-        edges = np.unique(np.concatenate(([0.0, least, top], known, rising)))
+        layers = _layers(self.contacts)
+        edges = np.unique(np.concatenate(([0.0, least, top], known, layers, rising)))
         return edges[edges <= top]
+
+
+def _layers(contacts: Reduced) -> Array:
+    """Stretches at which layers begin, below the thresholds of a discrete law, in which
+    attempts succeed: where these are narrow, no node of a wider panel is in one."""
+    if not (contacts.law.steps.size and contacts.barrier.thermal):
+        return np.empty(0)
+    xi, _, kappa = different_steps(contacts)
+    begin = xi - contacts.barrier.width(_LAYER, xi, contacts.barrier.b * kappa)
+    return np.asarray(begin[begin > 0])
 
 
 def _sums_onward(parts: Array) -> Array:
@@ -433,12 +449,11 @@ def successful_attempts(
         h = pooled_rate(law, stiffness, barrier, b, y, log_w, finer=finer)
         return math.exp(log_w) * h
     total, above = np.zeros(y.size), y if above is None else above
-    with np.errstate(divide="ignore"):  # a stiff contact at its threshold
-        for xi, share, kappa in zip(*different_steps(contacts), strict=True):
-            on = above < xi
-            gap = np.maximum(xi - y[on], 0.0)
-            log_rate = barrier.log_attempt(gap, xi + y[on], xi, b * kappa)
-            total[on] += share * np.exp(log_w + log_rate)
+    for xi, share, kappa in zip(*different_steps(contacts), strict=True):
+        on = above < xi
+        gap = np.maximum(xi - y[on], 0.0)
+        log_rate = barrier.log_attempt(gap, xi + y[on], xi, b * kappa)
+        total[on] += share * np.exp(log_w + log_rate)
     return total
 
 
@@ -448,7 +463,7 @@ class PooledPolynomials:
 
     def __init__(self, contacts: Reduced) -> None:
         law, unit = contacts.law, contacts.law.scale
-        edges = np.append(0.0, np.unique(law.steps) / unit)
+        edges = np.unique(np.concatenate(([0.0], _layers(contacts), law.steps / unit)))
         if not law.steps.size:
             top = np.asarray(law.inverse_survival(_MARKS))
             edges = np.concatenate(([0.0, law.support[0]], top, law.kinks)) / unit
@@ -461,18 +476,29 @@ class PooledPolynomials:
             rate = successful_attempts(contacts, x.ravel(), above=above.ravel())
             return rate.reshape(x.shape)
 
-        def judge(panels: Panels) -> tuple[Array, None]:
+        def judge(panels: Panels) -> tuple[Array, float]:
             width = panels.right - panels.left
             rough = np.abs(ClenshawCurtis.tail.T @ panels.values).sum(axis=0) * width
-            total = (ClenshawCurtis.weights @ panels.values * width).cumsum()
+            own = ClenshawCurtis.weights @ panels.values * width
+            total = own.cumsum()
             # what counts is how well hazards are known, of all before it and of a life
             seen = np.minimum(_RESOLVED_IN_X * np.maximum(total, 1.0), 1e-9)
             # off-rates rise without bound beyond the stretches that bonds live to see
             most = total if contacts.barrier.by_force else total[-1] * 1e-3
-            rough = rough > np.maximum(seen, _RESOLVED_IN_X * most)
-            return rough & (width > 1e-13 * panels.right), None
+            near, least = total - own < _NONE_LEFT, _RESOLVED_IN_X * most
+            least = np.where(near, np.minimum(least, _MOST_MISSED), least)
+            split = (rough > np.maximum(seen, least)) & (width > 1e-13 * panels.right)
+            # farther on, rates so high that they are not known as well may never be
+            # resolved: that must not use up the panels
+            near &= split
+            return (near if near.any() else split), float(rough[near].sum())
 
-        p, _ = _refined(contacts, evaluate, judge, edges)
+        p, missed = _refined(contacts, evaluate, judge, edges)
+        if missed > _MOST_MISSED:
+            raise InputError(
+                f"thresholds = {law}: annealed contacts break in layers too narrow for "
+                f"a reference (b = {contacts.barrier.b:g})"
+            )
         self.edges = np.append(p.left, p.right[-1])
         self._half = 0.5 * (p.right - p.left)
         self._coefficients = ClenshawCurtis.coefficients @ p.values

@@ -94,8 +94,7 @@ def _log_rate_along(
     """ln of `rate_along` with heat, up to 300."""
     xi, barrier = xi0 * contacts.aging.growth_at(x), contacts.barrier
     a = share * barrier.b * kappa_along(contacts, xi0, xi)
-    with np.errstate(divide="ignore"):  # a stiff contact at its threshold
-        log_rate = barrier.log_w + barrier.log_rate(x, np.maximum(xi, x), a)
+    log_rate = barrier.log_w + barrier.log_rate(x, np.maximum(xi, x), a)
     return np.asarray(np.minimum(log_rate, 300.0))
 
 

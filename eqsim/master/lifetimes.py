@@ -140,8 +140,7 @@ def chain_of(ensemble: Ensemble, drive: Programme) -> Chain:
     log_rate: Array = np.full(N, -math.inf)
     if barrier.thermal:
         x = np.minimum(stretch, xi)
-        with np.errstate(divide="ignore"):  # a prefactor that vanishes at the threshold
-            log_rate = barrier.log_w + barrier.log_rate(x, xi, barrier.b)
+        log_rate = barrier.log_w + barrier.log_rate(x, xi, barrier.b)
     log_rate = np.log(n) + np.where(stretch < xi, log_rate, math.inf)
     return Chain(log_rate, (N - n) / tau if again else 0.0 * n)
 

@@ -194,8 +194,7 @@ def hazard_of(contacts: Reduced) -> Hazard:
         return _hazard_of_pool(contacts)
 
     def rate(gap: Array, total: Array, xi: Array, kappa: Array) -> Array:
-        with np.errstate(divide="ignore"):
-            log_rate = barrier.log_attempt(gap, total, xi, barrier.b * kappa)
+        log_rate = barrier.log_attempt(gap, total, xi, barrier.b * kappa)
         return np.exp(barrier.log_w + log_rate)
 
     def levels(xi: Array, kappa: Array, shift: float) -> Array:

@@ -499,6 +499,28 @@ def test_paths_side_by_side_as_one_by_one(path):
     assert np.all(_one_by_one(c, stream, 6, births, clocks)[0] != single[0])
 
 
+@pytest.mark.parametrize("rate", [0.01, 1.0, 4.0])
+@pytest.mark.parametrize("law", ["uniform", "sqrt"])
+def test_steps_of_bonds_are_as_long_as_their_rate_allows(law, rate):
+    """Where heat counts, a step is one in which stretch and spread of the threshold
+    together change ln of the off-rate by 3 STEP, but for the drift and the product of
+    both changes. A bond that a threshold hardly changes is not followed as one whose
+    barrier it makes."""
+    heat = Thermal(barrier="bell", off_rate=1.0, force_scale=0.004)
+    bond = Ensemble(
+        Gamma(1.5), heat, aging=Aging("langevin", rate, 2.0), stiffness_law=law
+    )
+    c, xi, x = pinned(contacts(bond, 1.0), 1.0), 1.5, 0.02
+    h, *_ = pace(c, xi, x, math.inf, math.inf, STEP)
+    spread = math.sqrt(0.5 * c.aging.alpha * c.aging.final2 * h)
+
+    def log_rate(xi, x):
+        return c.barrier.b * (c.springs.constant + c.springs.slope * xi) * x
+
+    changed = log_rate(xi + spread, x + h) - log_rate(xi, x)
+    assert 2.5 * STEP < changed < 3.3 * STEP
+
+
 @pytest.mark.verification
 def test_steps_of_many_paths_vectorise():
     """Packed roots and products of doubles in loops over paths; there are none where a

@@ -275,6 +275,7 @@ FLUCTUATING = [
         Thermal(
             barrier="catch-slip", catch=Pathway(2.0, 0.15), slip=Pathway(0.02, 0.15)
         ),
+        Thermal(barrier="bell", off_rate=1e-4, force_scale=0.004),
     )
     for law in ("uniform", "sqrt")
     for v in (0.1, 1.0)

@@ -59,6 +59,15 @@ def log_erfi_exactly(z):
     return z * z + mpmath.log(total / mpmath.sqrt(mpmath.pi))
 
 
+@pytest.mark.parametrize("barrier", [Stiff, Cusp])
+def test_a_rate_that_vanishes_at_the_threshold_is_no_warning(barrier):
+    xi = np.array([1.0, 2.0])
+    with np.errstate(all="raise"):
+        log_rate = barrier.log_attempt(np.array([0.0, 1.0]), 2.0 * xi, xi, 0.5)
+    assert log_rate[0] == -math.inf
+    assert np.isfinite(log_rate[1])
+
+
 # -------------------------------------------------------------------------------------------
 # one contact, NumPy
 

@@ -12,12 +12,21 @@ from cases import chosen
 from reduced_cases import barrier_of, contacts
 from scipy import integrate, optimize, special
 
-from eqsim import Distribution, Gamma, Table
+from eqsim import (
+    Distribution,
+    Drive,
+    Ensemble,
+    Gamma,
+    Table,
+    Thermal,
+    reference,
+)
 from eqsim.laws.barrier import pooled
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.master import annealed, flow, quenched
 from eqsim.master.quenched import LifeMoments
 from eqsim.master.survivors import survivor_moments
+from eqsim.model.reduced import reduced
 
 LAWS = list(itertools.product(["soft", "stiff"], ["uniform", "sqrt"]))
 
@@ -434,3 +443,62 @@ def test_moments_that_hardly_exist(a, barrier):
         pooled = annealed_of(law, "sqrt", barrier, 1.0, -60.0)
         assert abs(pooled.work / exact - 1) < 1e-9 + pooled.work_error / exact
         assert pooled.work_error < 0.1 * exact
+
+
+# ---- layers of heat that are far narrower than thresholds are apart
+
+NARROW = 5e7  # k x_*^2/(2 kT), lengths in x_*
+
+
+def _log_hazard_below(barrier, left, xi):
+    """ln of int_0^x r dx', x = xi (1 - left), but for what is negligible at such a
+    temperature: closed forms, written anew."""
+    if barrier == "stiff":
+        return -NARROW * xi**2 * left**1.5 - np.log(1.5 * NARROW * xi)
+    return -NARROW * xi**2 * left**2 - np.log(2.0 * NARROW * xi)  # cusp
+
+
+def _annealed(law, barrier, attempts):
+    heat = Thermal(kT=0.5 / NARROW, attempt_frequency=attempts, barrier=barrier)
+    return Ensemble(law, heat, disorder="annealed", stiffness_law="uniform")
+
+
+@pytest.mark.parametrize("barrier", ["stiff", "cusp"])
+def test_layers_below_thresholds_of_a_table(barrier):
+    """Annealed contacts with thresholds 1 and 2 break by heat just below these. Their
+    mean stretch then is int J exp(-Lambda) dx, by the trapezoidal rule in ln of the
+    distance to each (1e-9 by halving its steps)."""
+    w = 1e7
+    ensemble = _annealed(Table([1.0, 2.0]), barrier, w)
+    pooled = annealed.pooled_polynomials(reduced(ensemble, 1.0))
+    gap = np.append(np.geomspace(1.0, 1e-9, 40_001), 0.0)
+    passed, travel = 0.0, 0.0
+    for xi, share in ((1.0, 1.0), (2.0, 0.5)):
+        x = xi - gap
+        hazard = passed + 0.5 * w * np.exp(_log_hazard_below(barrier, gap / xi, xi))
+        travel += share * np.trapezoid(np.exp(-hazard), x)
+        np.testing.assert_allclose(
+            pooled.integral(x / ensemble.thresholds.scale), hazard, 1e-8, 1e-9
+        )
+        passed = hazard[-1]
+    assert travel < 1.49  # without heat it is 1.5
+    found = reference(ensemble, Drive(1.0)).break_stretch
+    assert abs(found.value - travel) < 1e-8 + found.stderr
+
+
+def test_a_layer_below_an_infinite_density():
+    """Pooled hazards of annealed contacts of a law that begins with an infinite
+    density, by the midpoint rule in the angle in which it is even: they break within
+    3e-5 below it, and what is beyond, where rates are not known as well, must not keep
+    that from being resolved."""
+    law = Distribution(scipy.stats.beta(0.5, 0.5, loc=1.0))
+    w = 1e15
+    pooled = annealed.pooled_polynomials(reduced(_annealed(law, "stiff", w), 1.0))
+    angle = (np.arange(200_000) + 0.5) * 1e-7  # of pi/2; beyond .02 nothing counts
+    xi = 1.0 + np.sin(0.5 * np.pi * angle) ** 2
+    x = 1.0 - np.linspace(2e-5, 4e-5, 21)
+    left = 1.0 - x[:, None] / xi
+    hazard = 1e-7 * w * np.exp(_log_hazard_below("stiff", left, xi)).sum(axis=1)
+    assert hazard[0] > 1.0 > hazard[-1]
+    # numbers next to 1 miss as much of such a density as is within some 1e-15 of 1
+    np.testing.assert_allclose(pooled.integral(x / law.scale), hazard, 2e-5, 0.0)

@@ -30,7 +30,7 @@ from eqsim import (
     trajectory,
 )
 from eqsim.cli.app import app
-from eqsim.estimate import OBSERVABLES, mean_of, z_score
+from eqsim.estimate import OBSERVABLES, Estimate, mean_of, z_score
 from eqsim.laws.barrier import BARRIERS
 from eqsim.laws.newborn import Newborn
 from eqsim.laws.no_thresholds import NoThresholds
@@ -751,6 +751,16 @@ def test_holds_of_few_contacts(compare, wrong, monkeypatch):
     assert all(passes(pulled_scores(compare, hot, count)).values())
     as_if(monkeypatch, wrong)
     assert not any(passes(pulled_scores(compare, hot, count)).values())
+
+
+def test_shares_that_coincide_are_not_too_good_to_be_true(monkeypatch):
+    """Shares of few contacts are counts and may be the same, which a chi-square of 0
+    would hold to be impossible."""
+    same = Estimate(0.5, 0.05, 12, 11)
+    monkeypatch.setattr(pulled, "_pinned", lambda *_: same)
+    for seed in range(5):
+        point = at(Ensemble(Gamma(1.0), Thermal(0.1)), 0.1, seed=seed)
+        assert passes(pulled.pieces(point, QUICK)) == {"pieces": True}
 
 
 def test_avalanches_know_the_stiffness_that_shares_the_force(monkeypatch):

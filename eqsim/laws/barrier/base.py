@@ -124,8 +124,9 @@ class Barrier(Law):
 
     @classmethod
     def log_prefactor(cls, gap: Any, xi: Any) -> Any:
-        """ln p."""
-        return np.log(cls.prefactor(gap, xi))
+        """ln p, -inf where p vanishes."""
+        with np.errstate(divide="ignore"):
+            return np.log(cls.prefactor(gap, xi))
 
     @classmethod
     def log_attempt(cls, gap: Any, total: Any, xi: Any, a: Any) -> Array:
@@ -242,12 +243,13 @@ def height_slope(law: Any, xi: float, x: float, a: float) -> float:
 @by_law
 def slopes(
     law: Any, xi: float, x: float, k: float, growth: float
-) -> tuple[float, float]:
-    """dE/dxi where the relative stiffness k has the slope `growth` with xi, and a bound
-    on the changes of E with xi and with x, per length."""
+) -> tuple[float, float, float]:
+    """dE/dxi where the relative stiffness k has the slope `growth` with xi, a bound on
+    the changes of E with xi and with x, per length, and the share of it that is a bound
+    on those with xi."""
     a = law.b * k
     slope = height_slope(law, xi, x, a) + height(law, xi, x, a) * growth / k
-    return slope, slope
+    return slope, slope, 1.0
 
 
 @by_law

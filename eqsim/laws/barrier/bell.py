@@ -53,10 +53,12 @@ class ByForce(Barrier):
 @base.slopes.register(ByForce)
 def _slopes(
     law: ByForce, xi: float, x: float, k: float, growth: float
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     a, part = law.b * k, 1e-6
     more = base.height(law, xi, x, a * (1.0 + part)) - base.height(law, xi, x, a)
-    return more / part * growth / k, max(law.b * (k + growth * x), 1e-300)
+    stiffer = growth * x
+    most = max(law.b * (k + stiffer), 1e-300)
+    return more / part * growth / k, most, stiffer / (k + stiffer)
 
 
 def log_mean(z: Any) -> Array:
