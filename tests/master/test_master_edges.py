@@ -478,7 +478,7 @@ def test_layers_below_thresholds_of_a_table(barrier):
         hazard = passed + 0.5 * w * np.exp(_log_hazard_below(barrier, gap / xi, xi))
         travel += share * np.trapezoid(np.exp(-hazard), x)
         np.testing.assert_allclose(
-            pooled.integral(x / ensemble.thresholds.scale), hazard, 1e-8, 1e-9
+            pooled.integral(x / ensemble.thresholds.scale), hazard, rtol=1e-8, atol=1e-9
         )
         passed = hazard[-1]
     assert travel < 1.49  # without heat it is 1.5
@@ -501,4 +501,6 @@ def test_a_layer_below_an_infinite_density():
     hazard = 1e-7 * w * np.exp(_log_hazard_below("stiff", left, xi)).sum(axis=1)
     assert hazard[0] > 1.0 > hazard[-1]
     # numbers next to 1 miss as much of such a density as is within some 1e-15 of 1
-    np.testing.assert_allclose(pooled.integral(x / law.scale), hazard, 2e-5, 0.0)
+    np.testing.assert_allclose(
+        pooled.integral(x / law.scale), hazard, rtol=2e-5, atol=0
+    )
