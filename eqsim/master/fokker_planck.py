@@ -205,8 +205,7 @@ class _Life:
         if self.barrier.thermal:
             xi = x + s * grid.y
             b = self.barrier.b * self.kappa(xi)
-            with np.errstate(divide="ignore"):  # xi = x to rounding
-                a[1] -= np.exp(self.barrier.log_w + self.barrier.log_rate(x, xi, b))
+            a[1] -= np.exp(self.barrier.log_w + self.barrier.log_rate(x, xi, b))
         return a
 
     def kappa(self, xi: Array) -> Array:

@@ -109,8 +109,7 @@ def rates(contacts: Reduced, xi: Array, stretch: Array) -> Array:
         x, back = np.unique(stretch, return_inverse=True)
         return successful_attempts(contacts, x)[back].reshape(stretch.shape)
     a = contacts.barrier.b * kappa_of(contacts, xi)
-    with np.errstate(divide="ignore"):  # a stiff contact at its threshold
-        log_rate = contacts.barrier.log_rate(np.minimum(stretch, xi), xi, a)
+    log_rate = contacts.barrier.log_rate(np.minimum(stretch, xi), xi, a)
     return np.exp(contacts.barrier.log_w + log_rate)
 
 

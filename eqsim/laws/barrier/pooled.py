@@ -342,8 +342,7 @@ def _pooled_steps(
     left, right = np.zeros(y.size), np.zeros(y.size)
     for j in range(xi.size):
         k = np.searchsorted(y, xi[j])
-        with np.errstate(divide="ignore"):  # a stiff contact's rate ends at 0
-            rate = weight[j] * np.exp(barrier.log_rate(y[: k + 1], xi[j], a[j]))
+        rate = weight[j] * np.exp(barrier.log_rate(y[: k + 1], xi[j], a[j]))
         left[: k + 1] += rate  # the rate drops at each threshold
         right[:k] += rate[:-1]
     return _monotone(y, G, left, right)
