@@ -16,8 +16,9 @@ break together. With them |z| is too small to be normal. A score is even if boun
 less than a fifth of its error, which is known without its value; uneven ones count
 among the largest only: with a bias as large as the bound |z| exceeds any t > 2 less
 often than a normal score does. Means are scored if as many as 400 contacts carry the
-force, squares if a pilot run finds that 1600 do and that their error does not come from
-a few groups, as with heavy tails.
+force; squares if 1600 do, by the ages of contacts where these are known, and if a pilot
+run finds it too and that their error does not come from a few groups, as with heavy
+tails.
 
 Variances are means of squares about the mean of the master equation. Their scores are
 the Y of test suites for stochastic simulators, (s^2 - sigma^2) over the error of s^2,
@@ -47,7 +48,13 @@ from eqsim.master.profile import Profile
 from eqsim.master.programme import Transient
 from eqsim.master.steady import reference, settled
 from eqsim.master.survivors import hazard_passed
-from eqsim.master.transient import fluctuations, transient
+from eqsim.master.transient import (
+    cells_of,
+    fluctuations,
+    from_birth,
+    renewal_of,
+    transient,
+)
 from eqsim.model.drive import Drive, Programme, Segment, Start
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import births, drag_of
@@ -183,12 +190,14 @@ def averages(point: Point, sampled: Steady) -> Found:
 
 class _End(NamedTuple):
     """The end of a drive: mean and variance of the force of one contact, whose errors
-    are bounds, and the share of contacts that make the mean (`_carrying`)."""
+    are bounds, and the shares of contacts that make the mean (`_carrying`) and, as far
+    as they are known, the variance (`_squaring`)."""
 
     drive: Drive | Programme
     mean: Estimate
     variance: Estimate
     carrying: float
+    squaring: float = 1.0
 
 
 def _end_of(
@@ -216,12 +225,11 @@ def _score_end(
     their own, `streams`."""
     shown, level, variance = point.shown, known(end.mean), known(end.variance)
     few = shown.count * end.carrying
-    # if nearly all have the same force, the few that have broken make its variance; the
-    # law of `langevin` contacts is not known well enough to tell how large that is
-    broken = shown.count * variance / max(level**2, 1e-300)
-    if isinstance(end.drive, Programme):
-        broken = math.inf
-    if not (min(few, broken) if shown.fluctuates else few) >= _ENOUGH_CONTACTS:
+    if shown.fluctuates:
+        # if nearly all have the same force, the few that have broken make its variance;
+        # the law of `langevin` contacts is not known well enough to tell how large it is
+        few = min(few, shown.count * variance / max(level**2, 1e-300))
+    if not few >= _ENOUGH_CONTACTS:
         return point.without(kinds, "few contacts")
     first, pilot, groups = (point.stream(*numbers) for numbers in streams)
     run = trajectory(shown, end.drive, points=2, seed=first, threads=point.threads)
@@ -230,7 +238,7 @@ def _score_end(
         ours = Estimate(float(run.force[-1]), float(run.force_stderr[-1]), shown.count)
         scores = [point.score(kinds[0], ours, end.mean)]
     group = replace(shown, count=shown.count // _GROUPS)
-    enough = min(few, broken) >= _ENOUGH_SQUARES
+    enough = min(few, shown.count * end.squaring) >= _ENOUGH_SQUARES
     if not (enough and _many(_mean_squares(level, group, end.drive, pilot))):
         return scores + point.without(kinds[1:], "few contacts")
     ours = mean_of(_mean_squares(level, group, end.drive, groups), 0, _GROUPS - 1)
@@ -271,10 +279,12 @@ def transients(point: Point, plan: Suite) -> Found:
     exact = transient(ensemble, whole, points=_DISPLACEMENTS * every + 1, variance=True)
     if exact.force_variance is None or exact.force_variance_error is None:
         raise LeftOut("vague")
-    scores: Found = []
+    scores, levels = [], exact.force[::every]
+    squaring = _squaring_at_first(ensemble, whole, levels)
     for i in range(1, _DISPLACEMENTS + 1):
         drive = point.drive(distance * i / _DISPLACEMENTS)
         end = _end_of(drive, exact, i * every, _drag(ensemble, v))
+        end = end._replace(squaring=squaring[i])
         scores += _score_end(sized, end, transients.kinds, ((i,), (i, 1), (i, 2)))
     return scores
 
@@ -385,6 +395,53 @@ def _carrying(level: float, variance: float, pinned: float, drag: float) -> floa
     return min(share, pinned, 1.0 - pinned if drag else 1.0)
 
 
+def _squaring(ages: Array, level: float) -> float:
+    """The share of contacts that make the mean square of forces about `level`, as if
+    equally: <d^2>^2/<d^4>, d the deviation. `ages`, shape (3, n): of contacts of each
+    age their share, and their part of the mean force and of its square. Few old ones
+    that a sample lacks may make much of it."""
+    share, force, square = ages[:, ages[0] > 0.0]
+    square = square - 2.0 * level * force + level**2 * share
+    return float(square.sum() ** 2 / max((square**2 / share).sum(), 1e-300))
+
+
+def _squaring_at_first(ensemble: Ensemble, drive: Drive, levels: Array) -> list[float]:
+    """`_squaring` at equal displacements of fresh contacts, whose mean forces are
+    `levels`, by how many of the births at each age are left."""
+    s, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
+    cells = cells_of(s, drive.over(ensemble) / unit, levels.size)
+    profile, x = cells.profile, cells.x
+    renewal = renewal_of(profile, x, s)
+    left = _left(profile, x)
+    fresh = np.array([from_birth(profile, s, x, power) for power in range(3)])
+    waiting = s.drag ** np.arange(3)[:, None] * (1.0 - renewal.pinned)
+    births, found = np.maximum(renewal.births, 0.0), []
+    for last, level in zip(
+        np.linspace(0, x.size - 1, levels.size), levels, strict=True
+    ):
+        m = round(last)
+        others = np.array([fresh[:, m], waiting[:, m]]).T
+        ages = np.concatenate((left[:, :m] * births[:m][::-1], others), axis=1)
+        found.append(_squaring(ages, level / unit))
+    return found
+
+
+def _squaring_at_last(ensemble: Ensemble, v: float, level: float) -> float:
+    """`_squaring` of stationary contacts, whose mean force is `level`."""
+    s, unit = settled(ensemble, v), ensemble.thresholds.scale
+    profile = Profile(s)
+    left = _left(profile, np.append(0.0, profile.x))
+    cycle = left[0].sum() + s.delay.mean
+    waiting = s.drag ** np.arange(3.0) * s.delay.mean
+    return _squaring(np.append(left, waiting[:, None], axis=1) / cycle, level / unit)
+
+
+def _left(profile: Profile, x: Array) -> Array:
+    """Of contacts born at a constant rate, one per unit of displacement, how many are
+    left between ages `x`, and their part of the force and of its square."""
+    return np.array([np.diff(profile.integral(x, p)[p]) for p in range(3)])
+
+
 def _mean_squares(
     level: float, group: Ensemble, drive: Drive | Programme, seed: int
 ) -> Array:
@@ -473,7 +530,8 @@ def fluctuating(point: Point, plan: Suite) -> Found:
         raise LeftOut("few contacts")
     at_once = point.drive(1e-6 * lag, "stationary")
     group = replace(shown, count=max(1, min(count * ensembles, _PILOT) // _GROUPS))
-    of_squares = carry / _ENOUGH_SQUARES
+    rare = count * ensembles * _squaring_at_last(ensemble, v, level)
+    of_squares = min(carry, rare) / _ENOUGH_SQUARES
     if of_squares >= 1.0:
         of_squares *= _many(_mean_squares(level, group, at_once, point.stream(1)))
     forces, _ = _forces(shown, point.drive(lag, "stationary"), ensembles, point.seed)

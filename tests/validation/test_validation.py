@@ -48,6 +48,8 @@ from eqsim.validation.comparison import DECLINED, REASONS, Point, Score, Unscore
 from eqsim.validation.points import DRAWN_LAWS, SUITES, Suite, sample
 from eqsim.validation.scores import (
     _many,
+    _squaring_at_first,
+    _squaring_at_last,
     averages,
     compare_driven,
     fluctuating,
@@ -591,6 +593,50 @@ def test_squares_of_laws_that_begin_with_a_jump():
             lasting = born <= exact.X[i]
         sigma = np.std(force**2) / math.sqrt(born.size)
         assert abs(np.mean(force**2) - squares[i]) < 4.5 * sigma + error[i]
+
+
+def forces_by_hand(law, drive, wait, drag, X, rng):
+    """F/k of 200 000 annealed contacts without heat, from break to break."""
+    born, force = np.zeros(200_000), np.full(200_000, drag)
+    lasting = np.full(born.size, True)
+    while lasting.any():
+        broken = born[lasting] + law.rvs(lasting.sum(), random_state=rng)
+        force[lasting] = np.where(broken > X, X - born[lasting], drag)
+        born[lasting] = broken + wait
+        lasting = born <= X
+    return force
+
+
+def test_contacts_that_make_a_mean_square():
+    """<d^2>^2/<d^4> of fresh contacts at four displacements, and of stationary ones,
+    against forces by hand, whose error is the scatter of 64 groups over 8 (five |z| <
+    4.5, false alarm 4e-5; cells, 1/100 of a threshold at most, move it by 1e-4)."""
+    law, v, wait = stats.uniform(0.5, 1.0), 0.5, 0.4
+    ensemble = Ensemble(
+        Distribution(law), delay=Delay(wait / v), eta=0.1, stiffness_law="uniform"
+    )
+    drive, rng = Drive(v, 3.0), np.random.default_rng(2)
+    exact = transient(ensemble, drive, points=5)
+    found = _squaring_at_first(ensemble, drive, exact.force)[1:]
+    level = reference(ensemble, drive).friction.value
+    found += [_squaring_at_last(ensemble, v, level)]
+    levels = [*exact.force[1:], level]
+    for share, mean, X in zip(found, levels, [*exact.X[1:], 40.0], strict=True):
+        force = forces_by_hand(law, drive, wait, ensemble.eta * v, X, rng)
+        off = ((force - mean) ** 2).reshape(64, -1)
+        each = off.mean(axis=1) ** 2 / (off**2).mean(axis=1)
+        by_hand = off.mean() ** 2 / (off**2).mean()
+        assert abs(share - by_hand) < 4.5 * each.std() / 8 + 1e-4 * share
+
+
+def test_variances_of_a_few_old_contacts_are_not_scored():
+    """A tenth of the variance is made by 3e-6 of the contacts, which are as old as the
+    second wave of births, and neither sample nor pilot has one of them."""
+    law, v = Distribution(stats.pareto(7.671, scale=0.3584)), 0.187
+    few = Ensemble(law, delay=Delay(7.52), disorder="annealed", eta=0.75)
+    found = transients(at(few, v), QUICK)
+    last = [one for one in found if one.kind == "transient variance"][-1]
+    assert last.reason == "few contacts"
 
 
 def test_variances_of_a_few_broken_contacts_are_not_scored():
