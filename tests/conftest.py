@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from kernels import LAWS, collect_garbage_rarely
 
 from eqsim.numerics.kernel_folder import kernel_folder
@@ -13,6 +14,21 @@ from eqsim.numerics.kernel_folder import kernel_folder
 
 def pytest_configure():
     collect_garbage_rarely()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config, items):
+    """Cases that take seconds, of functions of which others run by default or of laws
+    that others test, are of the verification suite; `slow_cases.txt` names them."""
+    slow = set((Path(__file__).parent / "slow_cases.txt").read_text().splitlines())
+    for item in items:
+        if item.nodeid in slow:
+            item.add_marker(pytest.mark.verification)
+    collected = {item.nodeid for item in items}
+    files = {name.split("::")[0] for name in collected}
+    gone = {name for name in slow - collected if name.split("::")[0] in files}
+    if gone and not any("::" in argument for argument in config.args):
+        raise pytest.UsageError(f"slow_cases.txt: no such case: {min(gone)}")
 
 
 def pytest_collection_finish():
