@@ -239,10 +239,13 @@ def _score_end(
         scores = [point.score(kinds[0], ours, end.mean)]
     group = replace(shown, count=shown.count // _GROUPS)
     enough = min(few, shown.count * end.squaring) >= _ENOUGH_SQUARES
-    if not (enough and _many(_mean_squares(level, group, end.drive, pilot))):
+    if not (enough and _many(_mean_squares(level, group, end.drive, pilot)[0])):
         return scores + point.without(kinds[1:], "few contacts")
-    ours = mean_of(_mean_squares(level, group, end.drive, groups), 0, _GROUPS - 1)
-    return [*scores, point.score(kinds[1], ours, end.variance)]
+    squares, lost = _mean_squares(level, group, end.drive, groups)
+    ours = mean_of(squares, 0, _GROUPS - 1)
+    ours = replace(ours, stderr=math.hypot(ours.stderr or 0.0, lost))
+    bound = math.hypot(end.variance.stderr or 0.0, lost)
+    return [*scores, point.score(kinds[1], ours, end.variance, bound)]
 
 
 def _affordable(
@@ -444,11 +447,13 @@ def _left(profile: Profile, x: Array) -> Array:
 
 def _mean_squares(
     level: float, group: Ensemble, drive: Drive | Programme, seed: int
-) -> Array:
+) -> tuple[Array, float]:
     """The variance of F/k per contact about its expectation, at the end of the drive,
-    in each of _GROUPS groups."""
-    forces, variances = _forces(group, drive, _GROUPS, seed)
-    return np.asarray((variances + (forces - level) ** 2)[:, 1])
+    in each of _GROUPS groups; and what rounding of sums may have changed it by, which
+    is much if the law knows contacts far stronger than any of these."""
+    forces, variances, lost = _forces(group, drive, _GROUPS, seed)
+    squares = variances + (forces - level) ** 2
+    return np.asarray(squares[:, 1]), float(lost[:, 1].mean())
 
 
 @compares("hazard", "hazard law")
@@ -533,8 +538,8 @@ def fluctuating(point: Point, plan: Suite) -> Found:
     rare = count * ensembles * _squaring_at_last(ensemble, v, level)
     of_squares = min(carry, rare) / _ENOUGH_SQUARES
     if of_squares >= 1.0:
-        of_squares *= _many(_mean_squares(level, group, at_once, point.stream(1)))
-    forces, _ = _forces(shown, point.drive(lag, "stationary"), ensembles, point.seed)
+        of_squares *= _many(_mean_squares(level, group, at_once, point.stream(1))[0])
+    forces = _forces(shown, point.drive(lag, "stationary"), ensembles, point.seed)[0]
     first, second = (forces - level).T
     # error of the mean, also that of C at which births are held
     held = _REL_ERROR * level if ensemble.self_consistent else 0.0
@@ -566,19 +571,20 @@ def fluctuating(point: Point, plan: Suite) -> Found:
 
 def _forces(
     ensemble: Ensemble, drive: Drive | Programme, ensembles: int, seed: int
-) -> tuple[Array, Array]:
-    """F/(N k) at the beginning and the end of a drive, shape (ensembles, 2), and its
-    variance over the contacts of each ensemble."""
+) -> tuple[Array, Array, Array]:
+    """F/(N k) at the beginning and the end of a drive, shape (ensembles, 2), its
+    variance over the contacts of each ensemble, and the error of that by rounding."""
     n, unit = ensemble.count, ensemble.thresholds.scale
     job = _job(ensemble, drive, seed)
-    forces, variances = np.empty((2, ensembles, 2))
+    forces, variances, lost = np.empty((3, ensembles, 2))
     for index in range(ensembles):
         total = job.totals(1)
         job.simulate(total, index * n, (index + 1) * n)
-        force, _, variance, _ = job.moments(total.deposits, n)
-        forces[index] = force[[0, -1]] * unit
-        variances[index] = variance[[0, -1]] * unit**2
-    return forces, variances
+        found = job.moments(total.deposits, n)
+        forces[index] = found.force[[0, -1]] * unit
+        variances[index] = found.variance[[0, -1]] * unit**2
+        lost[index] = found.lost[[0, -1]] * unit**2
+    return forces, variances, lost
 
 
 def _job(ensemble: Ensemble, drive: Drive | Programme, seed: int) -> Steps:

@@ -703,7 +703,7 @@ def test_variance_and_covariance(name):
     level = reference(ensemble, Drive(0.5))
     lag = 0.5 * level.break_stretch.value
     exact = fluctuations(ensemble, Drive(0.5, lag), points=2)
-    forces, _ = _forces(ensemble, Drive(0.5, lag, "stationary"), ensembles, 5)
+    forces = _forces(ensemble, Drive(0.5, lag, "stationary"), ensembles, 5)[0]
     off = forces - level.friction.value
     for product, value in zip(
         (off[:, 0] ** 2, off[:, 0] * off[:, 1]), exact.covariance, strict=True

@@ -23,6 +23,8 @@ from eqsim import (
     InputError,
     Lognormal,
     Pathway,
+    Programme,
+    Segment,
     Table,
     Thermal,
     reference,
@@ -48,6 +50,7 @@ from eqsim.validation.comparison import DECLINED, REASONS, Point, Score, Unscore
 from eqsim.validation.points import DRAWN_LAWS, SUITES, Suite, sample
 from eqsim.validation.scores import (
     _many,
+    _mean_squares,
     _squaring_at_first,
     _squaring_at_last,
     averages,
@@ -637,6 +640,22 @@ def test_variances_of_a_few_old_contacts_are_not_scored():
     found = transients(at(few, v), QUICK)
     last = [one for one in found if one.kind == "transient variance"][-1]
     assert last.reason == "few contacts"
+
+
+def test_variances_know_what_rounding_hides():
+    """Contacts that go back and forth, of a law with a tail so heavy that sums of
+    squares leave room for contacts a million times as strong as any that is met: what
+    rounding may hide, ten times the variance, is part of the error."""
+    law, barrier = Distribution(stats.pareto(5.47, scale=0.7469)), "stiff"
+    heavy = Ensemble(law, Thermal(0.0652, barrier=barrier), Delay(10666.2), eta=86.96)
+    steps = Segment(3.361e-4, distance=0.1585), Segment(-1.642e-4, distance=0.1144)
+    drive = Programme(tuple(dataclasses.replace(each, points=1) for each in steps))
+    exact = transient(heavy, drive, 2, variance=True)
+    group, variance = dataclasses.replace(heavy, count=1562), exact.force_variance[-1]
+    squares, lost = _mean_squares(exact.force[-1], group, drive, 7)
+    scatter = squares.std(ddof=1) / 8
+    assert abs(squares.mean() - variance) < 4.5 * scatter + lost
+    assert lost > 10 * variance
 
 
 def test_variances_of_a_few_broken_contacts_are_not_scored():
