@@ -419,10 +419,9 @@ def _squaring_at_first(ensemble: Ensemble, drive: Drive, levels: Array) -> list[
     fresh = np.array([from_birth(profile, s, x, power) for power in range(3)])
     waiting = s.drag ** np.arange(3)[:, None] * (1.0 - renewal.pinned)
     births, found = np.maximum(renewal.births, 0.0), []
-    for last, level in zip(
-        np.linspace(0, x.size - 1, levels.size), levels, strict=True
-    ):
-        m = round(last)
+    every = renewal.births.size // (levels.size - 1)
+    for i, level in enumerate(levels):
+        m = i * every
         others = np.array([fresh[:, m], waiting[:, m]]).T
         ages = np.concatenate((left[:, :m] * births[:m][::-1], others), axis=1)
         found.append(_squaring(ages, level / unit))
@@ -440,8 +439,8 @@ def _squaring_at_last(ensemble: Ensemble, v: float, level: float) -> float:
 
 
 def _left(profile: Profile, x: Array) -> Array:
-    """Of contacts born at a constant rate, one per unit of displacement, how many are
-    left between ages `x`, and their part of the force and of its square."""
+    """Number of contacts between ages `x`, of those born at a constant rate, one per unit
+    of displacement, and their part of the force and of its square; shape (3, n)."""
     return np.array([np.diff(profile.integral(x, p)[p]) for p in range(3)])
 
 

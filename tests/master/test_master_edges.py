@@ -477,6 +477,7 @@ def test_layers_below_thresholds_of_a_table(barrier):
         x = xi - gap
         hazard = passed + 0.5 * w * np.exp(_log_hazard_below(barrier, gap / xi, xi))
         travel += share * np.trapezoid(np.exp(-hazard), x)
+        # panels resolve it to 1e-9 where it is below 1
         np.testing.assert_allclose(
             pooled.integral(x / ensemble.thresholds.scale), hazard, rtol=1e-8, atol=1e-9
         )
@@ -500,7 +501,8 @@ def test_a_layer_below_an_infinite_density():
     left = 1.0 - x[:, None] / xi
     hazard = 1e-7 * w * np.exp(_log_hazard_below("stiff", left, xi)).sum(axis=1)
     assert hazard[0] > 1.0 > hazard[-1]
-    # numbers next to 1 miss as much of such a density as is within some 1e-15 of 1
+    # numbers next to 1 miss as much of such a density as is within some 1e-15 of 1:
+    # (1e-15/3e-5)^(1/2) = 6e-6 of those that break in a layer of 3e-5
     np.testing.assert_allclose(
         pooled.integral(x / law.scale), hazard, rtol=2e-5, atol=0
     )

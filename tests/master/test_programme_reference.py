@@ -350,15 +350,17 @@ WARM_LEVELS = {  # velocity: friction at kT = .1, uniform and sqrt, each with th
 
 @chosen("velocity", WARM_LEVELS, [])  # the slower, the longer it takes
 def test_level_of_warm_contacts_that_strengthen(velocity):
-    """Within both errors. The slower, the more happens in a step: errors of 5e-4 are
-    stated."""
+    """Within both errors, and to 1e-4 of it but at the lowest velocity. The slower, the
+    more happens in a step: errors of 5e-4 are stated."""
     uniform, uniform_error, sqrt, sqrt_error = WARM_LEVELS[velocity]
     for kind, level, stated in (
         ("quenched uniform", uniform, uniform_error),
         ("quenched sqrt", sqrt, sqrt_error),
     ):
         found = transient(strengthening(KINDS[kind]), step(velocity, velocity, 0.1, 2))
-        assert np.all(np.abs(found.force - level) < found.force_error + stated)
+        off = np.abs(found.force - level)
+        assert np.all(off < found.force_error + stated)
+        assert velocity == min(WARM_LEVELS) or off.max() < 1e-4 * level
         assert found.force_error.max() < 1e-3
 
 

@@ -573,6 +573,18 @@ def test_an_engine_that_refuses_everything_does_not_pass(monkeypatch):
     }
 
 
+def forces_by_hand(law, wait, drag, X, rng):
+    """F/k of 200 000 annealed contacts without heat, from break to break."""
+    born, force = np.zeros(200_000), np.full(200_000, drag)
+    lasting = np.full(born.size, True)
+    while lasting.any():
+        broken = born[lasting] + law.rvs(lasting.sum(), random_state=rng)
+        force[lasting] = np.where(broken > X, X - born[lasting], drag)
+        born[lasting] = broken + wait
+        lasting = born <= X
+    return force
+
+
 def test_squares_of_laws_that_begin_with_a_jump():
     """E[f^2] at T = 0 of Pareto thresholds, by hand: 200 000 contacts from break to
     break (|z| < 4.5 in eight scores, false alarm 6e-5, beyond the stated error)."""
@@ -585,29 +597,9 @@ def test_squares_of_laws_that_begin_with_a_jump():
     error = exact.force_variance_error - 2 * exact.force * exact.force_error
     rng = np.random.default_rng(1)
     for i in range(1, 9):
-        born, force = np.zeros(200_000), np.zeros(200_000)
-        lasting = np.full(born.size, True)
-        while lasting.any():
-            broken = born[lasting] + stats.pareto(6.9).rvs(
-                lasting.sum(), random_state=rng
-            )
-            force[lasting] = exact.X[i] - born[lasting]
-            born[lasting] = broken
-            lasting = born <= exact.X[i]
-        sigma = np.std(force**2) / math.sqrt(born.size)
+        force = forces_by_hand(stats.pareto(6.9), 0.0, 0.0, exact.X[i], rng)
+        sigma = np.std(force**2) / math.sqrt(force.size)
         assert abs(np.mean(force**2) - squares[i]) < 4.5 * sigma + error[i]
-
-
-def forces_by_hand(law, drive, wait, drag, X, rng):
-    """F/k of 200 000 annealed contacts without heat, from break to break."""
-    born, force = np.zeros(200_000), np.full(200_000, drag)
-    lasting = np.full(born.size, True)
-    while lasting.any():
-        broken = born[lasting] + law.rvs(lasting.sum(), random_state=rng)
-        force[lasting] = np.where(broken > X, X - born[lasting], drag)
-        born[lasting] = broken + wait
-        lasting = born <= X
-    return force
 
 
 def test_contacts_that_make_a_mean_square():
@@ -625,7 +617,7 @@ def test_contacts_that_make_a_mean_square():
     found += [_squaring_at_last(ensemble, v, level)]
     levels = [*exact.force[1:], level]
     for share, mean, X in zip(found, levels, [*exact.X[1:], 40.0], strict=True):
-        force = forces_by_hand(law, drive, wait, ensemble.eta * v, X, rng)
+        force = forces_by_hand(law, wait, ensemble.eta * v, X, rng)
         off = ((force - mean) ** 2).reshape(64, -1)
         each = off.mean(axis=1) ** 2 / (off**2).mean(axis=1)
         by_hand = off.mean() ** 2 / (off**2).mean()
