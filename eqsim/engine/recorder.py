@@ -199,24 +199,6 @@ class Averaging(NamedTuple):
         return cls._make((*real[:2], np.zeros(LANES, np.int64), *real[2:]))
 
 
-class Columns(NamedTuple):
-    """Scratch for the fields of `Deposit` but `count` that lives side by side add at
-    the points `begins` and subtract at `ends`, arrays of integers."""
-
-    begins: Array
-    ends: Array
-    force: Array
-    square: Array
-    slope: Array
-    slope2: Array
-    ramp2: Array
-
-    @classmethod
-    def empty(cls, contacts: int = LANES) -> "Columns":
-        """Scratch for so many contacts."""
-        return cls(*np.zeros((7, contacts), np.int64))
-
-
 class Snapshot(NamedTuple):
     """Contacts between two segments, arrays (contacts,). Times are displacements at the
     pace of the segment before. All but `wait` and `lives` is of pinned contacts; where
@@ -257,7 +239,7 @@ class Recorder(NamedTuple):
     # A life begins where another ends, and is as stiff; both are recorded at once.
     joined: bool
     averaging: Averaging
-    columns: Columns
+    points: Array  # scratch: of births and breaks side by side, (2, LANES)
     narrow: bool  # as in `Scales`
 
     @staticmethod
@@ -280,7 +262,7 @@ class Recorder(NamedTuple):
             and c.delay.mean == 0.0
             and run.distance <= _LONGEST_JOINED,
             averaging=Averaging.empty(),
-            columns=Columns.empty(),
+            points=np.zeros((2, LANES), np.int64),
             narrow=scales.narrow,
         )
 
@@ -475,8 +457,7 @@ def average(recorder: Recorder, batch: int, life: Ramp, reborn: float) -> None:
 @routine(inline=True)
 def find_points(run: Run, x: Array, points: Array, count: int) -> None:
     """Find the grid points at or after the first `count` of x >= 0; `run.points` beyond
-    the last. Here and below each loop fills a single array: with several, the compiler
-    cannot tell that none overlap, and does not vectorise."""
+    the last. A loop that fills a single array vectorises."""
     per_step = (run.points - 1) / run.length
     for i in range(count):
         at = np.ceil(min(x[i] * per_step, float(run.points))) + 2.0**52
@@ -489,72 +470,43 @@ def leave_ramps(
 ) -> None:
     """Record lives side by side, pinned at 0 <= `born` <= X < `broke`. Of equally stiff
     contacts (`uniform`) count and force stand for other fields."""
-    scales, narrow, columns = recorder.scales, recorder.narrow, recorder.columns
-    begins, ends, force, square, slope, slope2, ramp2 = columns
-    count = born.size
-    find_points(recorder.run, born, begins, count)
-    find_points(recorder.run, broke, ends, count)
-    for i in range(count):
-        force[i] = fixed_narrow(stiffness[i] * born[i], -scales.force, narrow)
-    for i in range(count):
-        stretched = stiffness[i] * born[i]
-        square[i] = fixed_narrow(stretched * stretched, scales.square, narrow)
-    if uniform:
-        for i in range(count):
-            begin = recorder.deposits[np.uint64(begins[i])]
-            end = recorder.deposits[np.uint64(ends[i])]
-            ramp, ramp_square = force[i], square[i]
-            begin.count += 1
-            begin.force += ramp
-            begin.square += ramp_square
-            end.count -= 1
-            end.force -= ramp
-            end.square -= ramp_square
-        return
-    for i in range(count):
-        slope[i] = fixed_narrow(stiffness[i], scales.slope, narrow)
-    for i in range(count):
-        kappa2 = stiffness[i] * stiffness[i]
-        slope2[i] = fixed_narrow(kappa2, scales.slope2, narrow)
-    for i in range(count):
+    scales, narrow, points = recorder.scales, recorder.narrow, recorder.points
+    find_points(recorder.run, born, points[0], born.size)
+    find_points(recorder.run, broke, points[1], born.size)
+    for i in range(born.size):
+        begin = recorder.deposits[np.uint64(points[0, i])]
+        end = recorder.deposits[np.uint64(points[1, i])]
         kappa = stiffness[i]
-        ramp2[i] = fixed_narrow(kappa * (kappa * born[i]), -scales.ramp2, narrow)
-    for i in range(count):
-        begin = recorder.deposits[np.uint64(begins[i])]
-        end = recorder.deposits[np.uint64(ends[i])]
-        added = Deposit(1, force[i], square[i], slope[i], slope2[i], ramp2[i])
-        _change(begin, added, 1)
-        _change(end, added, -1)
-
-
-@routine(inline=True)
-def _change(here: Any, added: Deposit, sign: int) -> None:
-    """Add (sign 1) or subtract (sign -1) a deposit. All fields are read before any is
-    written, so that the compiler changes them four at a time: a life at T = 0 takes a
-    quarter less time."""
-    count, force, square = here.count, here.force, here.square
-    slope, slope2, ramp2 = here.slope, here.slope2, here.ramp2
-    here.count = count + sign * added.count
-    here.force = force + sign * added.force
-    here.square = square + sign * added.square
-    here.slope = slope + sign * added.slope
-    here.slope2 = slope2 + sign * added.slope2
-    here.ramp2 = ramp2 + sign * added.ramp2
+        ramp = kappa * born[i]
+        force = fixed_narrow(ramp, -scales.force, narrow)
+        square = fixed_narrow(ramp * ramp, scales.square, narrow)
+        if not uniform:
+            slope = fixed_narrow(kappa, scales.slope, narrow)
+            slope2 = fixed_narrow(kappa * kappa, scales.slope2, narrow)
+            ramp2 = fixed_narrow(kappa * ramp, -scales.ramp2, narrow)
+            begin.slope += slope
+            begin.slope2 += slope2
+            begin.ramp2 += ramp2
+            end.slope -= slope
+            end.slope2 -= slope2
+            end.ramp2 -= ramp2
+        begin.count += 1
+        begin.force += force
+        begin.square += square
+        end.count -= 1
+        end.force -= force
+        end.square -= square
 
 
 @routine(inline=True)
 def join_ramps(recorder: Recorder, born: Array, broke: Array) -> None:
     """Record lives of equally stiff contacts as `leave_ramps` does, where a life begins
     as another ends: only the square and the place of birth change there."""
-    scales, narrow, columns = recorder.scales, recorder.narrow, recorder.columns
-    force, square, count = columns.force, columns.square, born.size
-    find_points(recorder.run, broke, columns.ends, count)
-    for i in range(count):
-        force[i] = fixed_narrow(broke[i] - born[i], -scales.force, narrow)
-    for i in range(count):
-        difference = (broke[i] - born[i]) * (born[i] + broke[i])
-        square[i] = fixed_narrow(difference, scales.square, narrow)
-    for i in range(count):
-        end = recorder.deposits[np.uint64(columns.ends[i])]
-        end.force += force[i]
-        end.square += square[i]
+    scales, narrow, points = recorder.scales, recorder.narrow, recorder.points
+    find_points(recorder.run, broke, points[1], born.size)
+    for i in range(born.size):
+        end = recorder.deposits[np.uint64(points[1, i])]
+        travel = broke[i] - born[i]
+        square = travel * (born[i] + broke[i])
+        end.force += fixed_narrow(travel, -scales.force, narrow)
+        end.square += fixed_narrow(square, scales.square, narrow)

@@ -14,7 +14,6 @@ from eqsim.engine.blocks import Totals
 from eqsim.engine.contacts import contacts
 from eqsim.engine.lanes import ROUNDS, idle_lanes
 from eqsim.engine.recorder import (
-    Columns,
     Deposit,
     Ramp,
     Recorder,
@@ -60,7 +59,7 @@ def empty(run, uniform=False, narrow=False, size=4):
     """A recorder of nothing yet, of up to `size` lives at once."""
     total = Totals(run.points + 1, run.points, 1)
     found = Recorder.of(UNSTRESSED, run, scales(uniform, narrow), Fresh(), total)
-    return found._replace(columns=Columns.empty(size))
+    return found._replace(points=np.zeros((2, size), np.int64))
 
 
 def lives(uniform, delayed, early=0.0):
