@@ -2,6 +2,7 @@
 and not by every worker anew."""
 
 import gc
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,8 @@ from eqsim.numerics.kernel_folder import kernel_folder
 
 def pytest_configure():
     collect_garbage_rarely()
+    # shells have jobs in the background ignore it, and so would processes of tests
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -563,7 +563,6 @@ def test_interrupt_leaves_nothing(run_file, tmp_path, number):
     process = subprocess.Popen(
         [*EQSIM, "run", str(run_file), "--out", str(out), "--threads", "1", "--set", "contacts.count=300000000"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # shells have jobs in the background ignore it
     )  # fmt: skip
     once(lambda: simulating(process.pid), process)
     process.send_signal(number)

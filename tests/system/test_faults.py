@@ -78,19 +78,13 @@ def run_file(tmp_path):
     return path
 
 
-def start(*args, code=None, limit=lambda: None, **options):
+def start(*args, code=None, limit=None, **options):
     """A command in a process group of its own, as a terminal or a batch system starts
     it."""
     code = code or (FIGURES if args[:1] == ("figures",) else EQSIM)
-
-    def ready():
-        # shells have jobs in the background ignore it
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-        limit()
-
     return subprocess.Popen(
         [sys.executable, "-c", code, *map(str, args)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        start_new_session=True, preexec_fn=ready, **options,
+        start_new_session=True, preexec_fn=limit, **options,
     )  # fmt: skip
 
 

@@ -216,7 +216,7 @@ preload = 7.5
 def start(*command, **options):
     return subprocess.Popen(
         [sys.executable, *map(str, command)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL), **options,
+        **options,
     )  # fmt: skip
 
 
