@@ -629,7 +629,7 @@ MISTAKES = [
     M("validation: rounding is no part of a variance's error", "validation/scores.py",
       "float(lost[:, 1].mean())", "0.0",
       "test_validation.py::test_variances_know_what_rounding_hides"),
-    M("validation: ages of stationary contacts without delay", "validation/scores.py",
+    M("validation: ages of stationary contacts without delay", "validation/enough.py",
       "cycle = left[0].sum() + s.delay.mean", "cycle = left[0].sum()",
       "test_validation.py::test_contacts_that_make_a_mean_square"),
     M("trajectory: drifts of 40 errors", "engine/trajectory.py", "sigmas=4.0)", "sigmas=40.0)",

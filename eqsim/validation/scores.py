@@ -49,10 +49,7 @@ from eqsim.master.programme import Transient
 from eqsim.master.steady import reference, settled
 from eqsim.master.survivors import hazard_passed
 from eqsim.master.transient import (
-    cells_of,
     fluctuations,
-    from_birth,
-    renewal_of,
     transient,
 )
 from eqsim.model.drive import Drive, Programme, Segment, Start
@@ -61,6 +58,16 @@ from eqsim.model.reduced import births, drag_of
 from eqsim.numerics.streams import TRAJECTORY, key
 from eqsim.numerics.tables import Array
 from eqsim.validation.comparison import Found, LeftOut, Point, compares
+from eqsim.validation.enough import (
+    ENOUGH_CONTACTS,
+    ENOUGH_SQUARES,
+    GROUPS,
+    carrying_share,
+    drag_over_k,
+    many_contribute,
+    squaring_share_at_last,
+    squaring_shares_at_first,
+)
 from eqsim.validation.points import Suite
 
 # Displacements of a transient, each with an ensemble of its own.
@@ -75,15 +82,6 @@ _REL_ERROR = 1e-4
 _REL_ERRORS = _REL_ERROR, 1e-3, 1e-2, 1.0
 # Lives of steady averages, at most.
 _MOST_STEADY = 1e7
-# Contacts that carry the force (`_carrying`) from which on a mean over them is taken to
-# be normal, and a mean of squares.
-_ENOUGH_CONTACTS = 400
-_ENOUGH_SQUARES = 1600
-# Share of the sum of squares of 64 normal numbers that the largest square exceeds once
-# in fifty times.
-_LARGEST_SHARE = 0.2
-# Groups of contacts, whose scatter is the error of a variance.
-_GROUPS = 64
 # Cells of the grid of a transient, times thresholds of a table.
 _GRID_CELLS = 120_000
 # Contacts of a pilot run, at most.
@@ -190,8 +188,8 @@ def averages(point: Point, sampled: Steady) -> Found:
 
 class _End(NamedTuple):
     """The end of a drive: mean and variance of the force of one contact, whose errors
-    are bounds, and the shares of contacts that make the mean (`_carrying`) and, as far
-    as they are known, the variance (`_squaring`)."""
+    are bounds, and the shares of contacts that make the mean (`carrying_share`) and, as
+    far as they are known, the variance (`squaring_share`)."""
 
     drive: Drive | Programme
     mean: Estimate
@@ -209,7 +207,7 @@ def _end_of(
     assert exact.force_variance_error is not None
     mean, error = float(exact.force[i]), float(exact.force_error[i])
     square, off = float(exact.force_variance[i]), float(exact.force_variance_error[i])
-    carrying = _carrying(mean, square, float(exact.pinned[i]), drag)
+    carrying = carrying_share(mean, square, float(exact.pinned[i]), drag)
     variance = Estimate(square, off + 2.0 * abs(mean) * moved, 0)
     return _End(drive, Estimate(mean, error + moved, 0), variance, carrying)
 
@@ -229,7 +227,7 @@ def _score_end(
         # if nearly all have the same force, the few that have broken make its variance;
         # the law of `langevin` contacts is not known well enough to tell how large it is
         few = min(few, shown.count * variance / max(level**2, 1e-300))
-    if not few >= _ENOUGH_CONTACTS:
+    if not few >= ENOUGH_CONTACTS:
         return point.without(kinds, "few contacts")
     first, pilot, groups = (point.stream(*numbers) for numbers in streams)
     run = trajectory(shown, end.drive, points=2, seed=first, threads=point.threads)
@@ -237,12 +235,14 @@ def _score_end(
     if run.force_reliable:
         ours = Estimate(float(run.force[-1]), float(run.force_stderr[-1]), shown.count)
         scores = [point.score(kinds[0], ours, end.mean)]
-    group = replace(shown, count=shown.count // _GROUPS)
-    enough = min(few, shown.count * end.squaring) >= _ENOUGH_SQUARES
-    if not (enough and _many(_mean_squares(level, group, end.drive, pilot)[0])):
+    group = replace(shown, count=shown.count // GROUPS)
+    enough = min(few, shown.count * end.squaring) >= ENOUGH_SQUARES
+    if not (
+        enough and many_contribute(_mean_squares(level, group, end.drive, pilot)[0])
+    ):
         return scores + point.without(kinds[1:], "few contacts")
     squares, lost = _mean_squares(level, group, end.drive, groups)
-    ours = mean_of(squares, 0, _GROUPS - 1)
+    ours = mean_of(squares, 0, GROUPS - 1)
     ours = replace(ours, stderr=math.hypot(ours.stderr or 0.0, lost))
     bound = math.hypot(end.variance.stderr or 0.0, lost)
     return [*scores, point.score(kinds[1], ours, end.variance, bound)]
@@ -283,10 +283,10 @@ def transients(point: Point, plan: Suite) -> Found:
     if exact.force_variance is None or exact.force_variance_error is None:
         raise LeftOut("vague")
     scores, levels = [], exact.force[::every]
-    squaring = _squaring_at_first(ensemble, whole, levels)
+    squaring = squaring_shares_at_first(ensemble, whole, levels)
     for i in range(1, _DISPLACEMENTS + 1):
         drive = point.drive(distance * i / _DISPLACEMENTS)
-        end = _end_of(drive, exact, i * every, _drag(ensemble, v))
+        end = _end_of(drive, exact, i * every, drag_over_k(ensemble, v))
         end = end._replace(squaring=squaring[i])
         scores += _score_end(sized, end, transients.kinds, ((i,), (i, 1), (i, 2)))
     return scores
@@ -363,7 +363,7 @@ def programmes(point: Point, plan: Suite) -> Found:
         exact = transient(point.ensemble, plain, 2, variance=True)
     scores: Found = []
     for i, (segment, last) in enumerate(zip(plain.segments, ends, strict=True), 1):
-        drag = _drag(point.ensemble, abs(segment.velocity))
+        drag = drag_over_k(point.ensemble, abs(segment.velocity))
         drag = math.copysign(drag, segment.velocity)
         drive = replace(whole, segments=whole.segments[:last])
         end = _end_of(drive, exact, i, drag, moved)
@@ -371,86 +371,13 @@ def programmes(point: Point, plan: Suite) -> Found:
     return scores
 
 
-def _many(pilot: Array) -> bool:
-    """True if many contacts contribute to the mean of squares, by the `pilot` run of
-    _GROUPS groups: its relative error is as if _ENOUGH_SQUARES did so equally, and does
-    not come from one group (as with tails so heavy that there is no error)."""
-    off = (pilot - pilot.mean()) ** 2
-    return bool(
-        pilot.mean() ** 2 * _GROUPS >= _ENOUGH_SQUARES * pilot.var(ddof=1) > 0
-        and off.max() < _LARGEST_SHARE * off.sum()
-    )
-
-
-def _drag(ensemble: Ensemble, v: float) -> float:
-    """The drag of a detached contact over k, if there are any."""
-    if not ensemble.delay.time:
-        return 0.0
-    return drag_of(ensemble, v) * ensemble.thresholds.scale
-
-
-def _carrying(level: float, variance: float, pinned: float, drag: float) -> float:
-    """The share of contacts that carry the mean force `level`, as if equally:
-    <f>^2/<f^2>, f the force above the `drag`, which all detached contacts carry alike;
-    at most that of pinned contacts, and of detached ones with a drag, as fluctuations
-    of the force come from the rarer state."""
-    share = (level - drag) ** 2 / max((level - drag) ** 2 + variance, 1e-300)
-    return min(share, pinned, 1.0 - pinned if drag else 1.0)
-
-
-def _squaring(ages: Array, level: float) -> float:
-    """The share of contacts that make the mean square of forces about `level`, as if
-    equally: <d^2>^2/<d^4>, d the deviation. `ages`, shape (3, n): of contacts of each
-    age their share, and their part of the mean force and of its square. Few old ones
-    that a sample lacks may make much of it."""
-    share, force, square = ages[:, ages[0] > 0.0]
-    square = square - 2.0 * level * force + level**2 * share
-    return float(square.sum() ** 2 / max((square**2 / share).sum(), 1e-300))
-
-
-def _squaring_at_first(ensemble: Ensemble, drive: Drive, levels: Array) -> list[float]:
-    """`_squaring` at equal displacements of fresh contacts, whose mean forces are
-    `levels`, by how many of the births at each age are left."""
-    s, unit = settled(ensemble, drive.velocity), ensemble.thresholds.scale
-    cells = cells_of(s, drive.over(ensemble) / unit, levels.size)
-    profile, x = cells.profile, cells.x
-    renewal = renewal_of(profile, x, s)
-    left = _left(profile, x)
-    fresh = np.array([from_birth(profile, s, x, power) for power in range(3)])
-    waiting = s.drag ** np.arange(3)[:, None] * (1.0 - renewal.pinned)
-    births, found = np.maximum(renewal.births, 0.0), []
-    every = renewal.births.size // (levels.size - 1)
-    for i, level in enumerate(levels):
-        m = i * every
-        others = np.array([fresh[:, m], waiting[:, m]]).T
-        ages = np.concatenate((left[:, :m] * births[:m][::-1], others), axis=1)
-        found.append(_squaring(ages, level / unit))
-    return found
-
-
-def _squaring_at_last(ensemble: Ensemble, v: float, level: float) -> float:
-    """`_squaring` of stationary contacts, whose mean force is `level`."""
-    s, unit = settled(ensemble, v), ensemble.thresholds.scale
-    profile = Profile(s)
-    left = _left(profile, np.append(0.0, profile.x))
-    cycle = left[0].sum() + s.delay.mean
-    waiting = s.drag ** np.arange(3.0) * s.delay.mean
-    return _squaring(np.append(left, waiting[:, None], axis=1) / cycle, level / unit)
-
-
-def _left(profile: Profile, x: Array) -> Array:
-    """Number of contacts between ages `x`, of those born at a constant rate, one per unit
-    of displacement, and their part of the force and of its square; shape (3, n)."""
-    return np.array([np.diff(profile.integral(x, p)[p]) for p in range(3)])
-
-
 def _mean_squares(
     level: float, group: Ensemble, drive: Drive | Programme, seed: int
 ) -> tuple[Array, float]:
     """The variance of F/k per contact about its expectation, at the end of the drive,
-    in each of _GROUPS groups; and what rounding of sums may have changed it by, which
+    in each of GROUPS groups; and what rounding of sums may have changed it by, which
     is much if the law knows contacts far stronger than any of these."""
-    forces, variances, lost = _forces(group, drive, _GROUPS, seed)
+    forces, variances, lost = _forces(group, drive, GROUPS, seed)
     squares = variances + (forces - level) ** 2
     return np.asarray(squares[:, 1]), float(lost[:, 1].mean())
 
@@ -488,7 +415,7 @@ def hazards(point: Point, plan: Suite) -> Found:
     xi, stretch, end = xi * unit, np.minimum(stretch, end) * unit, end * unit
     hazard, total = (hazard_passed(s, 0.0 * xi, x, xi) for x in (stretch, end))
     mean, scores = float(hazard.sum()), point.without(hazards.kinds, "few contacts")
-    if mean >= _ENOUGH_CONTACTS:
+    if mean >= ENOUGH_CONTACTS:
         ours = Estimate(float(thermal.sum()), math.sqrt(mean), u.size)
         scores[0] = point.score("hazard", ours, Estimate(mean, 0.0, 0))
     if thermal.any():
@@ -520,24 +447,28 @@ def fluctuating(point: Point, plan: Suite) -> Found:
     most = _MOST_LIVES * 2
     if shown.fluctuates:
         count, most = min(count, 40_000 // ensembles), most / _DEAR**2
-    means, drag = reference(ensemble, Drive(v)), _drag(ensemble, v)
+    means, drag = reference(ensemble, Drive(v)), drag_over_k(ensemble, v)
     level, lag = known(means.friction), 0.5 * known(means.travel)
     shown = replace(shown, count=count)
     if predicted_lives(shown, point.drive(lag)) * ensembles > most:
         raise LeftOut("too many lives")
     exact = fluctuations(ensemble, point.drive(lag), points=2)
     # contacts that carry the force in all ensembles together
-    carrying = _carrying(level, float(exact.covariance[0]), known(means.pinned), drag)
+    carrying = carrying_share(
+        level, float(exact.covariance[0]), known(means.pinned), drag
+    )
     carry = count * ensembles * carrying
     square, product = (exact.covariance + (level - drag) ** 2).tolist()
-    if carry < _ENOUGH_CONTACTS:
+    if carry < ENOUGH_CONTACTS:
         raise LeftOut("few contacts")
     at_once = point.drive(1e-6 * lag, "stationary")
-    group = replace(shown, count=max(1, min(count * ensembles, _PILOT) // _GROUPS))
-    rare = count * ensembles * _squaring_at_last(ensemble, v, level)
-    of_squares = min(carry, rare) / _ENOUGH_SQUARES
+    group = replace(shown, count=max(1, min(count * ensembles, _PILOT) // GROUPS))
+    rare = count * ensembles * squaring_share_at_last(ensemble, v, level)
+    of_squares = min(carry, rare) / ENOUGH_SQUARES
     if of_squares >= 1.0:
-        of_squares *= _many(_mean_squares(level, group, at_once, point.stream(1))[0])
+        of_squares *= many_contribute(
+            _mean_squares(level, group, at_once, point.stream(1))[0]
+        )
     forces = _forces(shown, point.drive(lag, "stationary"), ensembles, point.seed)[0]
     first, second = (forces - level).T
     # error of the mean, also that of C at which births are held

@@ -47,12 +47,14 @@ from eqsim.validation import (
     verdict,
 )
 from eqsim.validation.comparison import DECLINED, REASONS, Point, Score, Unscored
+from eqsim.validation.enough import (
+    many_contribute,
+    squaring_share_at_last,
+    squaring_shares_at_first,
+)
 from eqsim.validation.points import DRAWN_LAWS, SUITES, Suite, sample
 from eqsim.validation.scores import (
-    _many,
     _mean_squares,
-    _squaring_at_first,
-    _squaring_at_last,
     averages,
     compare_driven,
     fluctuating,
@@ -612,9 +614,9 @@ def test_contacts_that_make_a_mean_square():
     )
     drive, rng = Drive(v, 3.0), np.random.default_rng(2)
     exact = transient(ensemble, drive, points=5)
-    found = _squaring_at_first(ensemble, drive, exact.force)[1:]
+    found = squaring_shares_at_first(ensemble, drive, exact.force)[1:]
     level = reference(ensemble, drive).friction.value
-    found += [_squaring_at_last(ensemble, v, level)]
+    found += [squaring_share_at_last(ensemble, v, level)]
     levels = [*exact.force[1:], level]
     for share, mean, X in zip(found, levels, [*exact.X[1:], 40.0], strict=True):
         force = forces_by_hand(law, wait, ensemble.eta * v, X, rng)
@@ -667,9 +669,12 @@ def test_squares_of_a_few_contacts_are_no_sample():
     do those whose tail is so heavy (Pareto, exponent 1.5: infinite variance) that one
     group makes the error: of these every eighth passes."""
     rng = np.random.default_rng(1)
-    assert _many((rng.standard_normal((64, 1000)) ** 2).mean(axis=1))
-    assert not _many((rng.standard_normal((64, 10)) ** 2).mean(axis=1))
-    heavy = [_many((1.0 + rng.pareto(1.5, (64, 5000))).mean(axis=1)) for _ in range(40)]
+    assert many_contribute((rng.standard_normal((64, 1000)) ** 2).mean(axis=1))
+    assert not many_contribute((rng.standard_normal((64, 10)) ** 2).mean(axis=1))
+    heavy = [
+        many_contribute((1.0 + rng.pareto(1.5, (64, 5000))).mean(axis=1))
+        for _ in range(40)
+    ]
     assert np.mean(heavy) < 0.4
 
 
