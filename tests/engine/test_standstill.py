@@ -471,11 +471,9 @@ STAGES = [None, Stage(0.5, damping=0.1)]
 def test_lives_of_holds_are_predicted(rule, stage):
     """Hot contacts that age break in a hold as often as others, and too many lives are
     refused before they are simulated; within a fifth."""
-    aging = (
-        Aging(rule, beta=0.05, cutoff_time=0.1)
-        if rule == "logarithmic"
-        else Aging(rule, 0.01, 2.0)
-    )
+    given = {"none": {}, "logarithmic": {"beta": 0.05, "cutoff_time": 0.1}}
+    drifts = {"rate": 0.01, "x_star_final": 2.0}
+    aging = Aging(rule, **given.get(rule, drifts))
     ensemble = Ensemble(thermal=Thermal(200.0), aging=aging, count=2)
     if rule == "langevin" and stage:
         pytest.skip("follow no stage")
