@@ -132,7 +132,7 @@ def made(found):
         ),
         pytest.param(
             6,
-            aged(rule="none"),
+            changed(aging=Aging()),
             lambda e, v: True,
             {"friction", "break_stretch"},
             marks=pytest.mark.verification,
@@ -149,7 +149,7 @@ def made(found):
         "quenched instead of annealed, two points",
         "quenched instead of annealed",
         "flow instead of langevin",
-        "x_*f ignored",
+        "aging ignored",
         "births ignored",
     ],
 )
