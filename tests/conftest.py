@@ -21,8 +21,8 @@ def pytest_configure():
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Cases that take seconds, of functions of which others run by default or of laws
-    that others test, are of the verification suite; `slow_cases.txt` names them."""
+    """Cases that take seconds, or compile a kernel that few others need, are of the
+    verification suite; `slow_cases.txt` names them."""
     slow = set((Path(__file__).parent / "slow_cases.txt").read_text().splitlines())
     for item in items:
         if item.nodeid in slow:

@@ -15,10 +15,8 @@ of tables of laws whose density jumps, of grids where F jumps, because equal thr
 break together. With them |z| is too small to be normal. A score is even if bounds make
 less than a fifth of its error, which is known without its value; uneven ones count
 among the largest only: with a bias as large as the bound |z| exceeds any t > 2 less
-often than a normal score does. Means are scored if as many as 400 contacts carry the
-force; squares if 1600 do, by the ages of contacts where these are known, and if a pilot
-run finds it too and that their error does not come from a few groups, as with heavy
-tails.
+often than a normal score does. Means and squares are scored if enough contacts make
+them (`enough`).
 
 Variances are means of squares about the mean of the master equation. Their scores are
 the Y of test suites for stochastic simulators, (s^2 - sigma^2) over the error of s^2,
@@ -48,10 +46,7 @@ from eqsim.master.profile import Profile
 from eqsim.master.programme import Transient
 from eqsim.master.steady import reference, settled
 from eqsim.master.survivors import hazard_passed
-from eqsim.master.transient import (
-    fluctuations,
-    transient,
-)
+from eqsim.master.transient import fluctuations, transient
 from eqsim.model.drive import Drive, Programme, Segment, Start
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import births, drag_of

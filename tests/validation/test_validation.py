@@ -78,19 +78,10 @@ def changed(**changes):
     return lambda ensemble: dataclasses.replace(ensemble, **changes)
 
 
-def aged(**changes):
-    """Another law of aging for those that age; D of annealed contacts that age at once
-    stays infinite."""
-
-    def change(ensemble):
-        aging = dataclasses.replace(ensemble.aging, **changes)
-        return (
-            dataclasses.replace(ensemble, aging=aging)
-            if ensemble.aging.active
-            else ensemble
-        )
-
-    return change
+def flowing(ensemble):
+    """The same contacts, whose thresholds follow the mean drift."""
+    aging = dataclasses.replace(ensemble.aging, rule="flow")
+    return dataclasses.replace(ensemble, aging=aging)
 
 
 def smooth_and_warm(e, v):
@@ -125,7 +116,7 @@ def made(found):
         ),
         pytest.param(
             3,
-            aged(rule="flow"),
+            flowing,
             lambda e, v: e.fluctuates and v > 0.1 * e.thresholds.scale,
             {"friction", "break_stretch"},
             marks=pytest.mark.verification,
