@@ -32,12 +32,9 @@ _LEAST_FORCE = 2.0**10
 _LEAST_WORK = 2.0**5
 _SUM_BITS = 62  # of a sum; the sign and one more are left
 _BITS_OF_2_52 = 0x4330000000000000  # bits of 2^52
-_BITS_OF_SHIFT = 0x4338000000000000  # bits of 1.5 2^52
 # Lives that are joined leave their rounding behind in the sums of squares: in units of
 # the square, distance^2 lives^(1/2) 2^-63 or so, below 1e-6 up to 1e10 lives.
 _LONGEST_JOINED = 1e4
-# So many contacts leave numbers up to 2^51 each, where sums are up to 2^62.
-_NARROW_FROM = 2 ** (_SUM_BITS - 51)
 
 
 class Deposit(NamedTuple):
@@ -124,7 +121,6 @@ class Scales(NamedTuple):
     replica: float  # of the force of a replica
     replica_square: float  # of its square
     uniform: bool  # all contacts are equally stiff
-    narrow: bool  # contacts are so many that no deposit of one exceeds 51 bits
 
     @classmethod
     def of(
@@ -176,8 +172,7 @@ class Scales(NamedTuple):
         most = max(force, drag)
         replica, square = power([most, most**2], replicas)
         counted = deposits._replace(count=1.0), windows._replace(breaks=1.0)
-        narrow = contacts >= _NARROW_FROM
-        return cls(*counted, replica, square, lives.alike, narrow)
+        return cls(*counted, replica, square, lives.alike)
 
 
 class Averaging(NamedTuple):
@@ -240,7 +235,6 @@ class Recorder(NamedTuple):
     joined: bool
     averaging: Averaging
     points: Array  # scratch: of births and breaks side by side, (2, LANES)
-    narrow: bool  # as in `Scales`
 
     @staticmethod
     def of(
@@ -263,7 +257,6 @@ class Recorder(NamedTuple):
             and run.distance <= _LONGEST_JOINED,
             averaging=Averaging.empty(),
             points=np.zeros((2, LANES), np.int64),
-            narrow=scales.narrow,
         )
 
 
@@ -350,16 +343,6 @@ class Ramp(NamedTuple):
 @routine(inline=True)
 def fixed(x: float, scale: float) -> int:
     """x in fixed point."""
-    return int(np.rint(x * scale))
-
-
-@routine(inline=True)
-def fixed_narrow(x: float, scale: float, narrow: bool) -> Any:
-    """x in fixed point, up to 2^51 if it is `narrow`. Narrow numbers are the last bits
-    of their sum with 1.5 2^52. Few processors convert more than one number at a
-    time."""
-    if narrow:
-        return np.float64(x * scale + 1.5 * 2.0**52).view(np.int64) - _BITS_OF_SHIFT
     return int(np.rint(x * scale))
 
 
@@ -455,11 +438,11 @@ def average(recorder: Recorder, batch: int, life: Ramp, reborn: float) -> None:
 
 
 @routine(inline=True)
-def find_points(run: Run, x: Array, points: Array, count: int) -> None:
-    """Find the grid points at or after the first `count` of x >= 0; `run.points` beyond
-    the last. A loop that fills a single array vectorises."""
+def find_points(run: Run, x: Array, points: Array) -> None:
+    """Find the grid points at or after each x >= 0; `run.points` beyond the last. A loop
+    that fills a single array vectorises."""
     per_step = (run.points - 1) / run.length
-    for i in range(count):
+    for i in range(x.size):
         at = np.ceil(min(x[i] * per_step, float(run.points))) + 2.0**52
         points[i] = np.float64(at).view(np.int64) - _BITS_OF_2_52
 
@@ -470,20 +453,20 @@ def leave_ramps(
 ) -> None:
     """Record lives side by side, pinned at 0 <= `born` <= X < `broke`. Of equally stiff
     contacts (`uniform`) count and force stand for other fields."""
-    scales, narrow, points = recorder.scales, recorder.narrow, recorder.points
-    find_points(recorder.run, born, points[0], born.size)
-    find_points(recorder.run, broke, points[1], born.size)
+    scales, points = recorder.scales, recorder.points
+    find_points(recorder.run, born, points[0])
+    find_points(recorder.run, broke, points[1])
     for i in range(born.size):
         begin = recorder.deposits[np.uint64(points[0, i])]
         end = recorder.deposits[np.uint64(points[1, i])]
         kappa = stiffness[i]
         ramp = kappa * born[i]
-        force = fixed_narrow(ramp, -scales.force, narrow)
-        square = fixed_narrow(ramp * ramp, scales.square, narrow)
+        force = fixed(ramp, -scales.force)
+        square = fixed(ramp * ramp, scales.square)
         if not uniform:
-            slope = fixed_narrow(kappa, scales.slope, narrow)
-            slope2 = fixed_narrow(kappa * kappa, scales.slope2, narrow)
-            ramp2 = fixed_narrow(kappa * ramp, -scales.ramp2, narrow)
+            slope = fixed(kappa, scales.slope)
+            slope2 = fixed(kappa * kappa, scales.slope2)
+            ramp2 = fixed(kappa * ramp, -scales.ramp2)
             begin.slope += slope
             begin.slope2 += slope2
             begin.ramp2 += ramp2
@@ -502,11 +485,11 @@ def leave_ramps(
 def join_ramps(recorder: Recorder, born: Array, broke: Array) -> None:
     """Record lives of equally stiff contacts as `leave_ramps` does, where a life begins
     as another ends: only the square and the place of birth change there."""
-    scales, narrow, points = recorder.scales, recorder.narrow, recorder.points
-    find_points(recorder.run, broke, points[1], born.size)
+    scales, points = recorder.scales, recorder.points
+    find_points(recorder.run, broke, points[1])
     for i in range(born.size):
         end = recorder.deposits[np.uint64(points[1, i])]
         travel = broke[i] - born[i]
         square = travel * (born[i] + broke[i])
-        end.force += fixed_narrow(travel, -scales.force, narrow)
-        end.square += fixed_narrow(square, scales.square, narrow)
+        end.force += fixed(travel, -scales.force)
+        end.square += fixed(square, scales.square)

@@ -2,7 +2,6 @@
 against plain sums over lives."""
 
 import math
-from functools import partial
 
 import numpy as np
 import pytest
@@ -44,21 +43,20 @@ ROUNDING = 1e-9  # of sums of a few hundred of them, and of squares that cancel
 UNSTRESSED = contacts(Ensemble(), 1.0)
 
 
-def scales(uniform, narrow=False):
+def scales(uniform):
     return Scales(
         Deposit(1.0, *[UNIT] * 5),
         Window(UNIT, UNIT, UNIT, 1.0, UNIT, UNIT),
         1.0,
         1.0,
         uniform,
-        narrow,
     )
 
 
-def empty(run, uniform=False, narrow=False, size=4):
+def empty(run, uniform=False, size=4):
     """A recorder of nothing yet, of up to `size` lives at once."""
     total = Totals(run.points + 1, run.points, 1)
-    found = Recorder.of(UNSTRESSED, run, scales(uniform, narrow), Fresh(), total)
+    found = Recorder.of(UNSTRESSED, run, scales(uniform), Fresh(), total)
     return found._replace(points=np.zeros((2, size), np.int64))
 
 
@@ -157,8 +155,6 @@ def test_no_sum_can_overflow(count, thermal):
         sizes = np.log2(sums)
         assert np.all(sizes < 63)
         assert np.sum(sizes > 60.9) >= sizes.size - 1
-    assert found.narrow == (count > 1000)
-    assert not found.narrow or np.all(deposits * np.array(found.deposits) <= 2.0**51)
 
 
 @pytest.mark.parametrize("points", [2, 5, 101])
@@ -171,56 +167,32 @@ def test_single_deposits(points, early):
     compare(found, False, seen(rows, run))
 
 
-def padded(rows):
-    """The columns of `lives`, with lives beyond the distance, so that they are a
-    multiple of four."""
+def columns(rows):
+    """The columns of `lives`, with a life beyond the distance."""
     beyond = [1.0, 2 * DISTANCE, 2 * DISTANCE, 2 * DISTANCE]
-    return np.ascontiguousarray(np.vstack([rows, *[beyond] * (-len(rows) % 4)]).T)
-
-
-def side_by_side(uniform, points, narrow=False):
-    """A recorder of what lives leave that are recorded side by side, and the lives."""
-    run, rows = Run(DISTANCE, points), lives(uniform, True)
-    stiffness, born, broke, _ = padded(rows)
-    found = empty(run, uniform, narrow, born.size)
-    leave_ramps(found, born, broke, stiffness, uniform)
-    return found, rows
-
-
-def joined(points, narrow=False):
-    """The same without delay, from the first birth of each contact on."""
-    run, rows = Run(DISTANCE, points), lives(True, False)[2:]
-    _, born, broke, _ = padded(rows)
-    found = empty(run, True, narrow, born.size)
-    for _ in range(CONTACTS):
-        leave(found, 0, 1, 1.0, 0.0)
-    join_ramps(found, born, broke)
-    return found, rows
+    return np.ascontiguousarray(np.vstack([rows, beyond]).T)
 
 
 @pytest.mark.parametrize("points", [2, 5, 101])
 @pytest.mark.parametrize("uniform", [False, True])
 def test_deposits_side_by_side(points, uniform):
-    found, rows = side_by_side(uniform, points)
-    compare(found, uniform, seen(rows, found.run))
+    run, rows = Run(DISTANCE, points), lives(uniform, True)
+    stiffness, born, broke, _ = columns(rows)
+    found = empty(run, uniform, born.size)
+    leave_ramps(found, born, broke, stiffness, uniform)
+    compare(found, uniform, seen(rows, run))
 
 
 @pytest.mark.parametrize("points", [2, 5, 101])
 def test_deposits_that_join(points):
-    found, rows = joined(points)
-    compare(found, True, seen(rows, found.run))
-
-
-@pytest.mark.parametrize(
-    "deposits",
-    [partial(side_by_side, False), partial(side_by_side, True), joined],
-    ids=["any", "uniform", "joined"],
-)
-def test_narrow_numbers_are_rounded_alike(deposits):
-    """Numbers below 2^51, which those of these lives are, to the last bit."""
-    found, _ = deposits(101, narrow=True)
-    np.testing.assert_array_equal(found.deposits, deposits(101)[0].deposits)
-    assert np.abs(found.deposits.view(np.int64)).max() > 2.0**45
+    """Without delay, from the first birth of each contact on."""
+    run, rows = Run(DISTANCE, points), lives(True, False)[2:]
+    _, born, broke, _ = columns(rows)
+    found = empty(run, True, born.size)
+    for _ in range(CONTACTS):
+        leave(found, 0, 1, 1.0, 0.0)
+    join_ramps(found, born, broke)
+    compare(found, True, seen(rows, run))
 
 
 def averages(rows, low, high, work=None):
