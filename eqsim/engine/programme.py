@@ -290,7 +290,8 @@ def along(
         pinned_stderr[0] = 0.0
         stderr[0] *= ensemble.newborn.active
     told = each if each is not None and len(each) >= LEAST_PARTS else None
-    forces = Forces(force, stderr, told, np.abs(bias * force))
+    unmet = unmet_forces(ensemble, programme, grid, (force, stderr), count)
+    forces = Forces(force, stderr, told, np.abs(bias * force), unmet)
     return ProgrammeTrajectory(
         X=grid.X,
         t=grid.t,
@@ -309,6 +310,20 @@ def _parts_of(count: int, points: int) -> int:
     tells a scatter, or their forces were too many."""
     fit = range(LEAST_PARTS, min(_MOST_PARTS, _MOST_PARTED // points) + 1)
     return max((parts for parts in fit if count % parts == 0), default=1)
+
+
+def unmet_forces(
+    ensemble: Ensemble,
+    programme: Programme,
+    grid: Grid,
+    force: tuple[Array, Array],
+    count: int,
+) -> Array:
+    """Changes of the mean force of `count` contacts, at the instants of a grid, with its
+    standard error, by one of them that breaks; 0 in holds in which none does."""
+    mean, stderr = force
+    moves = [s.velocity != 0 or ensemble.changes_at_rest for s in programme.segments]
+    return scatter.unmet_force(stderr**2, mean, count) * np.array(moves)[grid.segment]
 
 
 def step_bias(steps: tuple[Step, ...]) -> float:

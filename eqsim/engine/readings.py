@@ -65,17 +65,20 @@ class Forces(NamedTuple):
     stderr: Array  # its standard error
     parts: Array | None = None  # (parts, points), of equal, independent parts, if known
     missed: Array | None = None  # what these have in common of the error
+    unmet: Array | None = None  # change by one more contact that breaks, if any can
 
     def within(self, here: Array) -> "Forces":
         """The force at some instants."""
-        force, stderr, parts, missed = self
+        force, stderr, parts, missed, unmet = self
         parts = None if parts is None else parts[:, here]
         missed = None if missed is None else missed[here]
-        return Forces(force[here], stderr[here], parts, missed)
+        unmet = None if unmet is None else unmet[here]
+        return Forces(force[here], stderr[here], parts, missed, unmet)
 
     def change(self, *terms: tuple[int, float], more: float = 0.0) -> Estimate:
         """A sum of forces at instants times weights, with its standard error, `more` in
-        quadrature. It is 0 where it is no more than rounding."""
+        quadrature. It is 0 where it is no more than rounding. Parts in which no contact
+        broke between the instants tell it no better than to one that did."""
         points, weights = zip(*terms, strict=True)
         index, place = np.unique(points, return_inverse=True)
         weight = np.bincount(place, weights)
@@ -87,7 +90,10 @@ class Forces(NamedTuple):
             known = mean_of(self.parts[:, index] @ weight, n, len(self.parts) - 1)
             if self.missed is not None:
                 more = math.hypot(more, *weight * self.missed[index])
-            error = math.hypot(known.stderr or 0.0, more)
+            scatter = known.stderr or 0.0
+            if self.unmet is not None:
+                scatter = max(scatter, np.min(np.abs(weight) * self.unmet[index]))
+            error = math.hypot(scatter, more)
             found = replace(known, value=value, stderr=error)
         rounding = _ROUNDING * float(np.abs(self.force[index]) @ np.abs(weight))
         if max(abs(value), found.stderr or 0.0) <= rounding:

@@ -81,8 +81,8 @@ def _in_steps(slider: Slider, instants: Array, told: Progress) -> _PulledRun:
     legs = zip(slider.pull.ends, slider.pull.speeds, strict=True)
     for index, (end, speed) in enumerate(legs):
         slider.segment = index
-        while row < instants.size and instants[row] <= end * (1.0 + 1e-12):
-            until = min(float(instants[row]), end)
+        while row < instants.size and instants[row] <= end:
+            until = float(instants[row])
             while slider.state.time < until and not slider.let_go:
                 now = slider.step(until, speed)
                 states.append(now)
@@ -215,6 +215,14 @@ def _by_events(
     return runs
 
 
+def times_of(grid: Grid, pull: Pull, unit: float) -> Array:
+    """Instants of a grid as times of a pull, (points,). The last one of each segment is
+    its end, to the last bit: a force may jump there."""
+    t = grid.t * (pull.pace / unit)
+    t[np.append(np.diff(grid.segment) != 0, True)] = pull.ends
+    return t
+
+
 def coarse_instants(segment: Array) -> Array:
     """Instants of a grid that the second run records, of segments `segment` (points,).
     These are the first one, and one in `COARSER` counted from the end of each
@@ -308,6 +316,7 @@ def pulled_columns(
     for name in ("X", "stage") if gone.any() else ():
         mean[name] = np.ma.array(every[name], mask=gone).mean(axis=0).filled(math.nan)
     delayed = any(kind.contacts.delay.time > 0 for kind in ensemble.kinds)
+    unmet = _unmet(mean, pull.stiffness, ensemble.count, replicas, delayed)
     errors = {
         "X": np.zeros(grid.t.size),
         "friction": np.sqrt(mean["variance"]),
@@ -322,7 +331,6 @@ def pulled_columns(
             std["X"] = holding.std(axis=0, ddof=1).filled(math.nan)
             errors["X"] = std["X"] / np.sqrt(np.maximum(holding.count(axis=0), 1))
         # as a sample does not tell what one contact does that none of the replicas had
-        unmet = _unmet(mean, pull.stiffness, ensemble.count, replicas, delayed)
         errors = {name: np.maximum(errors[name], unmet[name]) for name in errors}
         X_std, force_std = std["X"] * unit, std["friction"] * unit
         X_replicas, force_replicas = every["X"] * unit, every["friction"] * unit
@@ -338,7 +346,8 @@ def pulled_columns(
     X_stderr, stderr = errors["X"] * unit, errors["friction"] * unit
     reliable = replicas >= _ENOUGH_REPLICAS
     missed = np.sqrt(np.maximum(errors["friction"] ** 2 - scatter**2, 0.0)) * unit
-    forces = Forces(force, stderr, force_replicas if reliable else None, missed)
+    parts = force_replicas if reliable else None
+    forces = Forces(force, stderr, parts, missed, unmet["friction"] * unit)
     shown = grid._replace(X=X), forces, reliable, X_stderr
     energies = [mean[name] for name in _ENERGIES]
     spring = pull.stiffness * (mean["stage"] - mean["X"])
@@ -379,7 +388,7 @@ def pulled(
     unit = ensemble.thresholds.scale
     pull = pull_of(ensemble, programme)
     per_time = pull.pace / unit
-    instants = grid.t * per_time
+    instants = times_of(grid, pull, unit)
     recorded = coarse_instants(grid.segment)
     workers = 1 if isinstance(threads, tuple) else workers_of(threads)
     every = np.zeros((replicas, grid.t.size), COURSE)

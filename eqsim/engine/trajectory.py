@@ -318,8 +318,10 @@ def _one_by_one(
         total = under_load(load, born, runs)
     each = total.force_replicas
     parts = each if each is not None and len(each) >= programme.LEAST_PARTS else None
-    forces = Forces(total.force, total.force_stderr, parts)
-    grid = drive.grid(output.points)
+    grid, count = drive.grid(output.points), ensemble.count * output.replicas
+    force = total.force, total.force_stderr
+    unmet = programme.unmet_forces(ensemble, drive, grid, force, count)
+    forces = Forces(*force, parts, unmet=unmet)
     segments = shown_by(drive, grid, forces, total.force_reliable)
     return replace(total, segments=segments)
 

@@ -246,6 +246,14 @@ class Ensemble(Checked):
         return quenched and aging.active and RULES[aging.rule].fluctuates
 
     @property
+    def changes_at_rest(self) -> bool:
+        """True if contacts may break, or be born stretched, though nothing moves."""
+        if self.populations:
+            return any(kind.contacts.changes_at_rest for kind in self.kinds)
+        b, rate = self._barrier_numbers[:2]
+        return (b < math.inf and rate > 0) or self.fluctuates or self.newborn.active
+
+    @property
     def divergence(self) -> str:
         """Reason why the steady variance of forces is infinite, in a line; empty where it is
         finite.

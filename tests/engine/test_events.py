@@ -524,6 +524,23 @@ def test_nothing_pinned_takes_no_steps():
     )
 
 
+def test_segments_end_under_their_force():
+    """Their last instant is before the force jumps, whatever their times and the unit
+    of length: an instant that is rounded to a later time is not."""
+    rng = np.random.default_rng(1)
+    for seed in range(50):
+        length = round(rng.uniform(0.2, 3.0), 2)
+        small = replace(
+            MANY, thresholds=Delta(length), thermal=Thermal(0.02 * length**2)
+        )
+        forces = 0.5 * length * np.array([0.1, 0.3, 0.15, 0.4])
+        times = rng.uniform(0.1, 10.0, 4).round(2)
+        steps = [Segment(force=f, time=t) for f, t in zip(forces, times, strict=True)]
+        run = trajectory(small, Programme(steps), points=9, seed=seed)
+        ends = [segment.end.value for segment in run.segments]
+        np.testing.assert_allclose(ends, forces, rtol=1e-9)
+
+
 def test_units():
     """Lengths 1e-3 and times 60 times as large."""
     length, duration = 1e-3, 60.0

@@ -19,6 +19,9 @@ from eqsim import (
     Drive,
     Ensemble,
     Gamma,
+    Programme,
+    Segment,
+    Stage,
     Table,
     Thermal,
     reference,
@@ -312,3 +315,28 @@ def test_no_scatter_at_all():
     """Identical contacts at T = 0 have exact averages, however few they are."""
     c = contacts(Ensemble(Delta(2.0), delay=Delay(0.25)), 2.0)
     assert set(independent(c, births(c), 0.3)[0]) == {math.inf}
+
+
+@pytest.mark.parametrize("stage", [None, Stage(0.5)], ids=["rigid", "behind a spring"])
+def test_change_in_which_hardly_a_contact_breaks(stage):
+    """A hold in which a fifth of a contact breaks on the average: the force falls by
+    what the mean field says within five of its errors, which know of the contacts that
+    broke in no part (six or more would have to break, a false alarm of 1e-7 each)."""
+    warm = Ensemble(count=6400, thermal=Thermal(0.02), **UNIFORM)
+    replicas = 8 if stage else 1
+    hold = Segment(time=0.1 / warm.count / replicas)
+    programme = Programme([Segment(0.1, distance=3.0), hold], stage=stage)
+    before, after = transient(warm, programme, points=21).force[[10, 20]]
+    for seed in range(5):
+        run = trajectory(warm, programme, points=21, seed=seed, replicas=replicas)
+        relaxation = run.segments[1].relaxation
+        assert relaxation.reliable
+        assert relaxation.stderr > 0.0
+        assert abs(z_score(relaxation, before - after)) < 5.0
+
+
+def test_nothing_changes_in_cold_holds():
+    programme = Programme([Segment(0.1, distance=3.0), Segment(time=1.0)])
+    run = trajectory(Ensemble(count=6400), programme, points=21)
+    relaxation = run.segments[1].relaxation
+    assert (relaxation.value, relaxation.stderr) == (0.0, 0.0)
