@@ -40,6 +40,7 @@ from eqsim.engine.slider_runs import (
     COARSER,
     coarse_instants,
     pulled_columns,
+    times_of,
 )
 from eqsim.engine.slider_runs import COURSE as MEANS
 from eqsim.errors import InputError
@@ -267,8 +268,8 @@ def follow(
         tell()
     row = max(1, done)
     for end, speed in zip(pull.ends, pull.speeds, strict=True):
-        while row < instants.size and instants[row] <= end * (1.0 + 1e-12):
-            until = min(float(instants[row]), end)
+        while row < instants.size and instants[row] <= end:
+            until = float(instants[row])
             while s["time"] < until:
                 advance(c, until, float(speed), _TOLD_AFTER, stop)
                 if stop[0]:
@@ -281,11 +282,32 @@ def follow(
             records.append(_record(c))
             row += 1
             state.save(keep, number, row)
+    events.append(_under_way(c))
     course = np.array(means).view(MEANS)[:, 0]
     course["stored"] -= course["stored"][0]
     lives = round(breaks) + c.population.size
     lists = np.concatenate(broke), np.concatenate(events)
     return _Run(course, np.array(records), *lists, lives, int(s["steps"]))
+
+
+def _under_way(c: Chained) -> Array:
+    """The event (`EVENT`) that goes on at the end of a record, (1,), or (0,) if none
+    does in which a block has broken."""
+    s, blocks = c.course[0], c.blocks.broken.sum()
+    if not (s["going_on"] and blocks):
+        return np.empty(0, EVENT)
+    found = np.zeros(1, EVENT)
+    for name, value in {
+        "event": s["event"],
+        "t": s["begin"],
+        "duration": s["time"] - s["begin"],
+        "blocks": blocks,
+        "peak": s["peak"],
+        "drop": s["force"] - np.mean(c.links.springs * (s["Y"] - c.blocks.X)),
+        "energy": s["damped"] + s["lost"] - s["dissipated"],
+    }.items():
+        found[name] = value
+    return found
 
 
 def _check(
@@ -311,7 +333,7 @@ def chain_trajectory(
     are. `front` is called now and then with the last block that broke."""
     chain, pull = _check(ensemble, programme, output)
     grid, unit = programme.grid(output.points), ensemble.thresholds.scale
-    instants = grid.t * (pull.pace / unit)
+    instants = times_of(grid, pull, unit)
     workers = workers_of(threads)
     lives = ensemble.count * output.replicas
 

@@ -43,9 +43,10 @@ class ChainTrajectory(PulledRecord):
         Columns: the number of the `event`, `t` when it began, `duration`, how many
         `blocks` broke, `peak`, the largest force of the springs that drive since the
         event before, and its `drop` (lengths), the `energy` taken by breaks and dampers
-        over N k (length squared), and the `replica`. An event goes on while a block
-        moves more than twice as fast as the fastest segment of the programme; at least
-        one block breaks. It is a precursor unless all blocks do.
+        over N k (length squared), whether it `ended`, and the `replica`. An event goes on
+        while a block moves more than twice as fast as the fastest segment of the
+        programme; at least one block breaks. It is a precursor unless all blocks do.
+        One under way when the record ends is not in means over events.
     coarser_events : dict of ndarray
         Those of the same contacts in steps four times as long; a third of what these
         change is in the errors of means over events.
@@ -71,12 +72,13 @@ class ChainTrajectory(PulledRecord):
     def _mean(
         self, name: str, of: Callable[[Array], Array], *, whole: bool = True
     ) -> Estimate:
-        """Mean of the values `of` a column of the events of each replica in which all
-        blocks broke, or did not, with the error of finite steps."""
+        """Mean of the values `of` a column of the events of each replica that ended and
+        in which all blocks broke, or did not, with the error of finite steps."""
         replicas = range(len(self.steps))
 
         def mean(events: dict[str, Array]) -> Estimate:
             asked = (events["blocks"] == self.chain.count) == whole
+            asked &= events["ended"]
             columns = (events[name][asked & (events["replica"] == i)] for i in replicas)
             return mean_in_records([of(column) for column in columns])
 
@@ -124,9 +126,11 @@ class ChainTrajectory(PulledRecord):
 
     @cached_property
     def gini(self) -> float:
-        """Gini coefficient of slip: of the displacements of blocks between records, 0
-        where all are equal, and near 1 where a few blocks slip at a few instants."""
-        slip = np.abs(np.diff(self.in_space("X"), axis=0)).ravel()
+        """Gini coefficient of slip: of the displacements of blocks between records, of
+        all replicas, 0 where all are equal, and near 1 where a few blocks slip at a few
+        instants."""
+        each = [self.in_space("X", i) for i in range(len(self.steps))]
+        slip = np.abs(np.diff(each, axis=1)).ravel()
         total = slip.sum()
         rank = 2.0 * np.arange(1, slip.size + 1) - slip.size - 1.0
         return float(rank @ np.sort(slip) / (slip.size * total)) if total else 0.0

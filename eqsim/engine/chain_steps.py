@@ -122,7 +122,7 @@ COURSE = np.dtype(
 # A block that has broken in an event.
 BROKE = np.dtype([("event", np.int64), ("block", np.int64), ("t", float), ("X", float)])
 
-# An event in which a block has broken.
+# An event in which a block has broken; that under way at the end has not `ended`.
 EVENT = np.dtype(
     [
         ("event", np.int64),
@@ -132,6 +132,7 @@ EVENT = np.dtype(
         ("peak", float),  # largest force of the springs from the event before on
         ("drop", float),  # of the force of the springs
         ("energy", float),  # taken by breaks and dampers, mean over blocks
+        ("ended", np.bool_),
     ]
 )
 
@@ -559,6 +560,7 @@ def _watch(c: Chained, dt: float) -> None:
         event.peak = s.peak
         event.drop = s.force - force
         event.energy = s.damped + s.lost - s.dissipated
+        event.ended = True
         s.events += 1
     s.peak = force
 

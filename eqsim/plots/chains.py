@@ -27,7 +27,7 @@ def chain_figure(run: "ChainTrajectory", caption: Caption) -> Figure:
     whole = events["blocks"] == run.chain.count
     for chosen, label, marker in (
         (whole, "event of all blocks", "v"),
-        (~whole, "precursor", "|"),
+        (~whole & events["ended"], "precursor", "|"),
     ):
         if chosen.any():
             place = events["t"][chosen], events["peak"][chosen]

@@ -90,7 +90,8 @@ class ChainResult(ProgrammeResult):
                 front = f"{speed:.3g} +- {error:.1g}", run.kind_of(speed)
             blocks = events["blocks"][i]
             kind = f"{blocks} (all)" if blocks == run.chain.count else f"{blocks}"
-            sizes = (f"{events[name][i]:.5g}" for name in ("t", "duration"))
+            sizes = [f"{events[name][i]:.5g}" for name in ("t", "duration")]
+            sizes[1] = sizes[1] if events["ended"][i] else f"> {sizes[1]}"
             forces = (f"{events[name][i]:.4g}" for name in ("peak", "drop"))
             yield str(i), *sizes, kind, *forces, *front
         if events["t"].size > _MOST_EVENTS:
@@ -103,6 +104,8 @@ class ChainResult(ProgrammeResult):
         whole = int(np.sum(events == run.chain.count))
         none = "no event: no block broke while one moved twice as fast as the drive"
         yield f"{events.size} events, {whole} of all blocks" if events.size else none
+        if going := int(np.sum(~run.events["ended"])):
+            yield f"{going} under way at the end, not in means over events"
         said = {
             "static friction before events of all blocks": run.static_friction,
             "their recurrence": run.recurrence,

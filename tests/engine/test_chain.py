@@ -519,15 +519,17 @@ def test_fronts_are_named_by_the_speed_of_waves():
 
 def test_means_over_events_and_slip():
     """Means of given events and displacements of two replicas: events of all blocks
-    count without the first of each replica, and the others are precursors."""
+    count without the first of each replica, and the others are precursors. One under
+    way at the end does not count."""
     chain = Chain(2, 1.0, 0.25, damping=0.5)
     run = trajectory(HOT, programme(chain, 1.0), points=3, replicas=2)
     events = {
-        "replica": np.repeat([0, 1], 4),
-        "t": np.array([1.0, 2.0, 4.0, 7.0, 1.0, 3.0, 3.5, 6.0]),
-        "blocks": np.array([2, 1, 2, 2, 2, 2, 1, 2]),
-        "peak": np.array([9.0, 8.0, 1.0, 2.0, 9.0, 4.0, 8.0, 5.0]),
-        "drop": np.array([9.0, 8.0, 0.1, 0.3, 9.0, 0.2, 8.0, 0.6]),
+        "replica": np.array([0, 0, 0, 0, 1, 1, 1, 1, 1]),
+        "t": np.array([1.0, 2.0, 4.0, 7.0, 1.0, 3.0, 3.5, 6.0, 7.0]),
+        "blocks": np.array([2, 1, 2, 2, 2, 2, 1, 2, 2]),
+        "peak": np.array([9.0, 8.0, 1.0, 2.0, 9.0, 4.0, 8.0, 5.0, 9.0]),
+        "drop": np.array([9.0, 8.0, 0.1, 0.3, 9.0, 0.2, 8.0, 0.6, 9.0]),
+        "ended": np.arange(9) < 8,
     }
     X = np.array([[[0.0, 2.0], [0.0, 2.0], [8.0, 2.0]], [[0.0, 4.0]] * 3])
     found = replace(
@@ -545,7 +547,8 @@ def test_means_over_events_and_slip():
     assert found.recurrence.value == 3.0
     assert found.drop.value == pytest.approx(0.3, rel=1e-12, abs=0)
     assert found.precursors.value == 0.5
-    assert found.gini == 0.75  # all slip is that of one block at one instant of two
+    # all slip is that of one block at one instant of two in one of two replicas
+    assert found.gini == 0.875
     rough = np.sqrt([2.5, 2.5, 6.5])
     assert found.roughness == pytest.approx(rough, rel=1e-14, abs=0)
 
@@ -597,6 +600,26 @@ def test_run_files(tmp_path):
     for number, begin, end in zip(events["event"], events["t"], ends, strict=True):
         t = found.trajectory.broke["t"][found.trajectory.broke["event"] == number]
         assert np.all((begin <= t) & (t <= end))
+
+
+def until(end):
+    """A run as in `RUN` that is recorded ten times in a unit of time."""
+    shorter = RUN.replace("time = 200.0", f"time = {end}")
+    points = f"points = {round(10 * end) + 1}"
+    return run_file(check(tomllib.loads(shorter.replace("points = 41", points))))
+
+
+def test_an_event_under_way_at_the_end():
+    whole = until(200.0).trajectory.events
+    begin, duration = whole["t"][0], whole["duration"][0]
+    found = until(round(begin + 0.9 * duration, 1))
+    events = found.trajectory.events
+    assert whole["ended"].all()
+    assert events["ended"].tolist() == [False]
+    np.testing.assert_allclose(events["t"], begin, rtol=1e-9)
+    assert 0.0 < events["duration"][0] < duration
+    assert "1 under way at the end, not in means over events" in [*found.doubts()]
+    assert [*found.rows()][1][2].startswith("> ")
 
 
 def test_pictures_have_the_lines_of_fronts():
