@@ -129,6 +129,8 @@ def check_breaks(ensemble: Ensemble, drive: Drive, output: Output) -> float:
         raise InputError(
             f'drive.start = "{drive.start}": breaks are listed from a fresh start only'
         )
+    if ensemble.populations:
+        raise InputError("population: breaks are listed of contacts of one kind only")
     if ensemble.fluctuates:
         raise InputError(
             f'aging.rule = "{ensemble.aging.rule}": breaks are not listed of '

@@ -39,7 +39,7 @@ from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate, infinite, known
 from eqsim.laws.aging.base import stiffness_varies
 from eqsim.laws.delay import Waits
-from eqsim.model.drive import Drive, require_drive
+from eqsim.model.drive import Drive, Output, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.mixture import mixed_averages, summed
 from eqsim.model.reduced import bare, drag_of
@@ -146,6 +146,8 @@ def steady(
     require_drive(drive)
     require_number("rel_error", rel_error, above=0)
     require_number("max_lives", max_lives, above=0)
+    Output(seed=seed)
+    threads = max(1, threads)
     if ensemble.populations:
         options: Any = {"rel_error": rel_error, "threads": threads, "plain": plain}
         options |= {"max_lives": max_lives, "progress": progress}

@@ -72,6 +72,7 @@ class Drive(Checked):
             said = f"must be one number; {many}, eqsim.sweep simulates them"
             raise InputError(f"velocity = {shown(self.velocity)}: {said}")
         super().__post_init__()
+        require_blocks(self.elastic)
 
     def over(self, ensemble: Ensemble) -> float:
         """The distance, with its default filled in."""
@@ -295,6 +296,7 @@ class Programme(Checked):
             said = "not with a stage or a motor; its programme is that of what pulls it"
             raise InputError(f"chain: {said}")
         if self.elastic is not None:
+            require_blocks(self.elastic)
             self._require_forwards()
         with under("programme"):
             duration = sum(segment.duration for segment in self.segments)
@@ -396,6 +398,15 @@ class Programme(Checked):
             there = X[-1] + math.copysign(1.0, segment.velocity) * along
             parts.append(Grid(t[-1] + elapsed, there, np.full(n, index)))
         return Grid(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def require_blocks(elastic: Elastic | None) -> None:
+    """Raise InputError for a chain in the place of blocks that are always in balance."""
+    if isinstance(elastic, Chain):
+        said = (
+            "must be Elastic(...); blocks with mass or damping are Programme(chain=...)"
+        )
+        raise InputError(f"elastic = {shown(elastic)}: {said}")
 
 
 def require_drive(drive: Drive | Programme) -> Drive:

@@ -25,7 +25,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from eqsim.errors import require_choice
+from eqsim.errors import InputError, require_choice, shown
+from eqsim.model.drive import Output
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.streams import seed_named
 from eqsim.validation import chains, pulled, scores
@@ -196,7 +197,7 @@ def validate(
     Raises
     ------
     InputError
-        For an unknown suite.
+        For an unknown suite, and arguments out of range.
 
     Examples
     --------
@@ -208,22 +209,26 @@ def validate(
     eqsim.errors.InputError: suite = 'long': must be one of "quick", "full", "interface", "verification"
     """
     require_choice("suite", suite, (*SUITES,))
+    Output(seed=seed)
     plan, (first, step), every = SUITES[suite], part, Found()
+    if first < 0 or step < 1:
+        said = "must be (i, m) with i from 0 and m from 1 on"
+        raise InputError(f"part = {shown(tuple(part))}: {said}")
     linked = range(first, plan.chains, step)
     total = len(range(first, plan.points, step)) + len(linked)
     drawn_at = sample(plan.points, seed, part, plan.solids)
     for done, (index, ensemble, v) in enumerate(drawn_at, 1):
-        shown = wrong(ensemble) if wrong else ensemble
+        simulated = wrong(ensemble) if wrong else ensemble
         drawn = seed_named(seed, index)
-        point = Point(index, ensemble, shown, v, drawn, seed, threads)
+        point = Point(index, ensemble, simulated, v, drawn, seed, threads)
         every += scores.compare_driven(point, plan) + pulled.compare_pulled(point, plan)
         if progress:
             progress(done, total)
     for done, index in enumerate(linked, 1):
         ensemble = chains.contacts_of(index)
-        shown = wrong(ensemble) if wrong else ensemble
+        simulated = wrong(ensemble) if wrong else ensemble
         drawn = seed_named(seed, index)
-        point = Point(index, ensemble, shown, math.nan, drawn, seed, threads)
+        point = Point(index, ensemble, simulated, math.nan, drawn, seed, threads)
         every += chains.compare_chain(point, plan)
         if progress:
             progress(done, total)

@@ -8,6 +8,7 @@ tests once in some 10 000 seeds.
 import itertools
 import json
 import math
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -18,6 +19,7 @@ from scipy import special, stats
 from test_slider import busy_period
 
 from eqsim import (
+    Chain,
     Delta,
     Distribution,
     Drive,
@@ -806,6 +808,9 @@ def test_python_refuses():
     for solve in (steady, reference, trajectory, transient):
         with pytest.raises(InputError, match="elastic: coupled blocks"):
             solve(ensemble, drive)
+    for take in (partial(Drive, 1.0), partial(Programme, [Segment(1.0, time=1.0)])):
+        with pytest.raises(InputError, match=r"elastic = Chain.*Programme\(chain"):
+            take(elastic=Chain(2, 1.0, 1.0, damping=1.0))
     with pytest.raises(InputError, match=r"drive\.elastic: is required"):
         elastic_trajectory(ensemble, Drive(1.0, 1.0))
     with pytest.raises(InputError, match="max_lives"):

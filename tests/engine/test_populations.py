@@ -12,6 +12,7 @@ from scipy import stats
 
 from eqsim import (
     OBSERVABLES,
+    Aging,
     Delay,
     Delta,
     Drive,
@@ -522,6 +523,9 @@ STAGED = Programme([Segment(0.3, distance=1.0)], stage=Stage(0.2))
     "refused",
     [
         lambda x: breaks(x, Drive(0.3, 1.0)),
+        lambda x: breaks(
+            replace(x, aging=Aging(rule="langevin", rate=0.1)), Drive(0.3)
+        ),
         lambda x: stability(x, STAGED),
         lambda x: elastic_trajectory(
             Ensemble(stiffness_law="uniform", populations=x.populations),

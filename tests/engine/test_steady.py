@@ -543,6 +543,14 @@ def test_refusals():
         steady(Ensemble(), Drive(1.0), rel_error=-1.0)
     with pytest.raises(InputError, match="velocity"):
         steady(Ensemble(thermal=Thermal(1.0)), Drive(1e-200))
+    for seed in (-1, 1.5):
+        with pytest.raises(InputError, match=r"seed = .*: must be an integer from 0"):
+            steady(Ensemble(), Drive(1.0), seed=seed)
+
+
+def test_no_threads_are_one():
+    one = steady(Ensemble(), Drive(1.0), rel_error=0.1).friction
+    assert steady(Ensemble(), Drive(1.0), rel_error=0.1, threads=0).friction == one
 
 
 def test_error_of_a_ratio():

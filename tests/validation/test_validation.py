@@ -535,6 +535,18 @@ def test_errors_that_are_bounds_do_not_count_as_scatter():
     assert min(abs(score.z) for score in of_steady) > 10.0
 
 
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ({"seed": -1}, "seed = -1: must be an integer from 0"),
+        ({"part": (0, 0)}, r"part = \(0, 0\): must be \(i, m\)"),
+    ],
+)
+def test_what_is_no_seed_or_part(what, said):
+    with pytest.raises(InputError, match=said):
+        validate("quick", **what)
+
+
 def test_too_many_refused():
     """A suite does not pass where the program declines more comparisons of a kind than
     it makes."""
