@@ -631,6 +631,7 @@ def test_pictures_have_the_lines_of_fronts():
     broke = {"block": block, "t": 3.0 + 0.5 * np.arange(7.0)}
     broke |= {name: np.zeros(7, int) for name in ("event", "replica")}
     events = {"blocks": 7, "t": 3.0, "peak": 1.0, "event": 0, "replica": 0}
+    events |= {"ended": True}
     events = {name: np.array([value]) for name, value in events.items()}
     lists = {"broke": broke, "events": events, "fronts": fronts_of(broke)}
     made = replace(found, trajectory=replace(found.trajectory, **lists))
