@@ -42,7 +42,7 @@ from eqsim.engine.lattice import (
 )
 from eqsim.engine.records import ElasticTrajectory, by_replica
 from eqsim.engine.scatter import births, scatter, unmet_force
-from eqsim.engine.trajectory import predicted_lives
+from eqsim.engine.trajectory import guarded, predicted_lives
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Estimate, drifts, ratio
 from eqsim.model.drive import Drive, Grid, Output, Programme, Segment
@@ -316,7 +316,7 @@ class _Interface(NamedTuple):
         response = response_of(elastic, distance / unit)
         # Blocks follow a share of the plate's motion at once.
         levels = np.linspace(0.0, distance / unit * (1.0 - elastic.branching), points)
-        batches = _batches(0.5 * distance / mean, elastic, count)
+        batches = max(2, _batches(ensemble, drive, elastic))
         edges = np.linspace(0.5 * levels[-1], levels[-1], batches + 1)
         between = math.ceil(count * distance / mean / _BETWEEN_PAUSES)
         pauses = np.linspace(0.0, levels[-1], 1 + between)
@@ -411,8 +411,7 @@ class _WarmInterface(NamedTuple):
         pace = max(segment.velocity for segment in segments)
         blocks = block_events.interface_of(ensemble, elastic, pace, seed)
         scale = pace / ensemble.thresholds.scale
-        moved = 0.5 * segments[-1].path / ensemble.thresholds.mean
-        edges = 1 + _batches(moved, elastic, ensemble.count)
+        edges = 1 + max(2, _batches(ensemble, programme, elastic))
         lives = _expected(ensemble, programme, elastic)
         end = len(segments)
         instants = block_events.Instants(
@@ -479,12 +478,14 @@ def _programme_of(drive: Drive | Programme, ensemble: Ensemble) -> Programme:
     return Programme((segment,), elastic=drive.elastic)
 
 
-def _batches(moved: float, elastic: Elastic, count: int) -> int:
-    """Number of batches of a way of the plate (mean thresholds), long enough to be
-    independent."""
-    force = 0.5 / math.sqrt(count)
+def _batches(ensemble: Ensemble, drive: Drive | Programme, elastic: Elastic) -> int:
+    """Number of batches of the second half of the last segment that are so long that
+    they are independent; 0 or 1 of a plate that stands, or hardly moves."""
+    path = _programme_of(drive, ensemble).segments[-1].path
+    force = 0.5 / math.sqrt(ensemble.count)
     way = _CHANGES_OF_FORCE * force / float(np.mean(elastic.springs))
-    return int(np.clip(moved / (_SHORTEST_BATCH + way), 2, _MOST_BATCHES))
+    found = 0.5 * path / ensemble.thresholds.mean / (_SHORTEST_BATCH + way)
+    return int(min(found, _MOST_BATCHES))
 
 
 def _passed(programme: Programme, grid: Grid) -> Array:
@@ -558,7 +559,8 @@ def elastic_trajectory(
     threads : int
         Threads that share the replicas; they change no number.
     max_lives : float
-        Most lives of contacts that may be simulated.
+        Work that is predicted to need more lives of contacts is refused before it
+        starts, and stopped where it takes more than twice as many.
     progress : callable, optional
         `progress(lives)` is called now and then with the lives simulated so far.
 
@@ -572,7 +574,7 @@ def elastic_trajectory(
     ------
     InputError
         For contacts that time changes, contacts that cannot be divided among the
-        blocks, arguments out of range, and more than `max_lives` predicted lives.
+        blocks, arguments out of range, and more lives than `max_lives` allows.
 
     Examples
     --------
@@ -586,8 +588,9 @@ def elastic_trajectory(
     True
     """
     output = Output(points, seed, replicas)
-    check_elastic(ensemble, drive, output, max_lives)
-    return simulate_blocks(ensemble, drive, output, threads, progress)
+    _, expected = check_elastic(ensemble, drive, output, max_lives)
+    guard = guarded(progress, expected, max_lives)
+    return simulate_blocks(ensemble, drive, output, threads, guard)
 
 
 def simulate_blocks(
@@ -640,7 +643,7 @@ def simulate_blocks(
     X, force = X.mean(axis=0), force.mean(axis=0)
     unmet = interface.net_drop * unmet_force(variance, force, count) / replicas
     stderr = np.maximum(stderr, unmet * unit)
-    estimates = _estimates(runs, unit)
+    estimates = _estimates(runs, unit, _batches(ensemble, drive, elastic) > 1)
     error = (estimates[0].stderr or 0.0) / unit
     second_half = float(np.mean([run.totals.moved[0] for run in runs])), float(X[-1])
     if isinstance(interface, _Interface):
@@ -677,9 +680,10 @@ def simulate_blocks(
 
 
 def _estimates(
-    runs: list[_Replica], unit: float
+    runs: list[_Replica], unit: float, apart: bool
 ) -> tuple[Estimate, Estimate, Estimate]:
-    """Estimate friction (length), breaks per avalanche, fraction of single breaks."""
+    """Estimate friction (length), breaks per avalanche, fraction of single breaks.
+    Batches of a replica are independent if they are `apart`."""
     batches = _Totals(*np.diff(np.stack([run.totals for run in runs], axis=1), axis=2))
     half = batches.X.shape[1] // 2
     breaks = int(batches.breaks.sum())
@@ -688,8 +692,12 @@ def _estimates(
         return np.stack((column[:, :half].ravel(), column[:, -half:].ravel()), axis=1)
 
     def over(numerator: Array, denominator: Array) -> Estimate:
-        estimate = ratio(numerator.ravel(), denominator.ravel(), breaks)
-        reliable = estimate.reliable and numerator.size >= _RELIABLE_FROM
+        parts = np.stack((numerator, denominator))
+        if not apart and len(runs) > 1:
+            parts = parts.sum(axis=2)
+        above, below = parts.reshape(2, -1)
+        estimate = ratio(above, below, breaks)
+        reliable = estimate.reliable and above.size >= _RELIABLE_FROM
         reliable = reliable and not drifts(halves(numerator), halves(denominator), 4.0)
         return replace(estimate, reliable=reliable)
 

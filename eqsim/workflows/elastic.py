@@ -9,6 +9,7 @@ import numpy as np
 
 from eqsim.engine.elastic import check_elastic, simulate_blocks
 from eqsim.engine.records import ElasticTrajectory
+from eqsim.engine.trajectory import guarded
 from eqsim.estimate import Estimate, difference
 from eqsim.io.runfile import RunFile
 from eqsim.io.states import kept
@@ -176,6 +177,7 @@ def run_elastic(file: RunFile, how: How) -> ElasticResult:
     def told(lives: int) -> None:
         how.progress(lives, max(lives, expected))
 
+    guard = guarded(told, expected, how.max_lives)
     with kept(file, how.keep) as states:
-        found = simulate_blocks(ensemble, drive, output, how.threads, told, states)
+        found = simulate_blocks(ensemble, drive, output, how.threads, guard, states)
     return ElasticResult(file, found)

@@ -8,6 +8,7 @@ tests once in some 10 000 seeds.
 import itertools
 import json
 import math
+import re
 from functools import partial
 
 import numpy as np
@@ -39,6 +40,7 @@ from eqsim import (
     z_score,
 )
 from eqsim.engine.contacts import contacts
+from eqsim.engine.elastic import expected_lives
 from eqsim.engine.lanes import draw_birth
 from eqsim.errors import InputError
 from eqsim.io.export import meaning
@@ -820,6 +822,31 @@ def test_python_refuses():
             Ensemble(count=10**7, **UNIFORM),
             Drive(1.0, 100.0, elastic=Elastic(2, 1.0, 1.0)),
         )
+
+
+def held(distance, time, elastic):
+    """A drive of blocks that ends with a hold."""
+    segments = [Segment(1.0, distance=distance), Segment(time=time)]
+    return Programme(segments, elastic=elastic)
+
+
+def test_friction_in_a_hold_is_known_from_replicas():
+    """Batches of a plate that stands are no independent ones: the error is that of the
+    force at the end, to the motion in a hundredth of an attempt."""
+    warm = Ensemble(count=200, thermal=Thermal(0.05), **UNIFORM)
+    drive = held(20.0, 0.01, Elastic(4, 1.0, 1.0))
+    run = elastic_trajectory(warm, drive, points=21, replicas=8)
+    assert run.friction.dof == 7
+    assert run.friction.stderr == pytest.approx(run.force_stderr[-1], rel=0.05, abs=0)
+
+
+def test_lives_in_holds_are_counted():
+    """Blocks that weak springs keep pulling on break more contacts than predicted."""
+    warm = Ensemble(count=200, thermal=Thermal(0.1), **UNIFORM)
+    drive = held(700.0, 1e7, Elastic(1, 0.0, 1e-3))
+    expected = expected_lives(warm, drive)
+    with pytest.raises(InputError, match=re.escape(f"{expected:.3g} were expected")):
+        elastic_trajectory(warm, drive, points=21, max_lives=1.001 * expected)
 
 
 def test_workers_are_refused(path, tmp_path):
