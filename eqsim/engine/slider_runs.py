@@ -22,6 +22,7 @@ from eqsim.engine.records import SliderTrajectory, Slip, by_replica
 from eqsim.engine.scatter import pinned_variance, unmet_force
 from eqsim.engine.slider import Slider
 from eqsim.laws.stiffness import kappa
+from eqsim.laws.threshold import Delta
 from eqsim.model.drive import Grid, Output, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.reduced import Pull, pull_of
@@ -344,7 +345,13 @@ def pulled_columns(
             errors[name] = np.hypot(errors[name], missed)
     X, force = mean["X"] * unit, mean["friction"] * unit
     X_stderr, stderr = errors["X"] * unit, errors["friction"] * unit
-    reliable = replicas >= _ENOUGH_REPLICAS
+    # equal contacts break within one step, which coarser steps may take as well by chance
+    in_step = again is not None and any(
+        isinstance(kind.contacts.thresholds, Delta)
+        and not kind.contacts.changes_at_rest
+        for kind in ensemble.kinds
+    )
+    reliable = replicas >= _ENOUGH_REPLICAS and not in_step
     missed = np.sqrt(np.maximum(errors["friction"] ** 2 - scatter**2, 0.0)) * unit
     parts = force_replicas if reliable else None
     forces = Forces(force, stderr, parts, missed, unmet["friction"] * unit)

@@ -314,7 +314,7 @@ def test_mean_field_is_of_second_order():
     the steps the error is more than 12 times as large, as of order 1.8 or more."""
     programme = Programme([Segment(0.1, time=1.0)], stage=STICKING)
     reduced, course = course_of(DELAYED, programme)
-    spring = slider.Spring(0.1, 0.1, 0.0, 0.0, False, 7.5, 0.0, False, False)
+    spring = slider.Spring(0.1, 0.1, 0.0, 0.0, False, 7.5, 0.0, False, False, 1.0)
 
     def rate(t, X):
         return (0.1 * (0.1 * t + 7.5 - X) - X * (1 + X * X) * np.exp(-X * X)) / 0.1
@@ -724,3 +724,14 @@ def test_periods_of_short_records():
         )
         z.append((found.value - 1.0) / found.stderr)
     assert math.sqrt(np.mean(np.square(z))) < 1.5
+
+
+@pytest.mark.parametrize(("kT", "reliable"), [(0.0, False), (0.1, True)])
+def test_errors_of_contacts_in_step_are_not_relied_on(kT, reliable):
+    """Equal contacts that no heat tells apart all break within one step, whose error
+    coarser steps do not tell."""
+    equal = Ensemble(Delta(1.0), Thermal(kT), count=10, **UNIFORM)
+    drive = Programme([Segment(0.5, distance=0.2)], stage=Stage(0.1, damping=0.5))
+    run = trajectory(equal, drive, points=3, replicas=8)
+    assert run.force_reliable == reliable
+    assert run.segments[0].end.reliable == reliable
