@@ -105,8 +105,8 @@ def check_run(
             programme.check_programme(kind.contacts, drive)
     else:
         require_drive(drive)
-        for kind in ensemble.kinds if drive.start == "stationary" else ():
-            kind.contacts.require_steady_state()
+        if drive.start == "stationary":
+            ensemble.require_steady_state(drive.velocity)
         distance = drive.over(ensemble) / ensemble.thresholds.scale
         require_number("distance / threshold", distance, least=1e-100, most=1e100)
     expected = predicted_lives(ensemble, drive, output.replicas)

@@ -129,8 +129,8 @@ class Spring(NamedTuple):
     """Stage and slider, with time in units of the whole programme. `drag` is the
     damping per detached share. At first the spring balances all other forces if
     `in_balance`, and else has the `stretch`; the slider has the `velocity`. `heat`: it
-    breaks contacts; `discrete`: equal thresholds may break at once. `stall`: force at
-    which the motor stops that moves the stage."""
+    breaks contacts; `discrete`: equal thresholds may break at once. `unit`: the least
+    scale of thresholds. `stall`: force at which the motor stops that moves the stage."""
 
     stiffness: float
     damping: float
@@ -141,6 +141,7 @@ class Spring(NamedTuple):
     velocity: float
     heat: bool
     discrete: bool
+    unit: float
     stall: float = math.inf
 
 
@@ -353,7 +354,7 @@ def pull(
             change = total.force[m] - force - A * dX
             # error of the estimate, of F or of the pinned share
             off = abs(change - rho * dX - r * dt)
-            off = max(off, abs(total.pinned[m] - pinned - q * dt))
+            off = max(off, spring.unit * abs(total.pinned[m] - pinned - q * dt))
             if spring.heat:
                 off *= _BENT
             # r has to agree with the guess, by which the slider moved
@@ -616,6 +617,7 @@ def task_of(ensemble: Ensemble, programme: Programme, grid: Grid) -> PulledTask:
         velocity=course.before,
         heat=any(contacts.barrier.thermal for contacts in laws),
         discrete=any(has_jumps(contacts.law) for contacts in laws),
+        unit=min(part.unit for part in parts),
     )
     if stage is not None:
         if stage.mass and pull.motor:

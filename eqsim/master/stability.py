@@ -264,8 +264,9 @@ def pulled_by(ensemble: Ensemble, drive: Drive | Programme) -> SteadyPull:
         raise InputError(
             "drive.programme: stability is that of a stage at one constant velocity > 0"
         )
-    ensemble.require_steady_state()
-    pulled = SteadyPull(ensemble, drive.segments[0].velocity, drive.stage)
+    velocity = drive.segments[0].velocity
+    ensemble.require_steady_state(velocity)
+    pulled = SteadyPull(ensemble, velocity, drive.stage)
     course_of(ensemble, pulled.programme())
     return pulled
 

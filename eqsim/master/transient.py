@@ -185,7 +185,7 @@ def _interpolated(X: Array, x: Array, *rows: Array) -> list[Array]:
 
 def _level(ensemble: Ensemble, drive: Drive, points: int, variance: bool) -> Transient:
     """Constant means of a stationary start."""
-    ensemble.require_steady_state()
+    ensemble.require_steady_state(drive.velocity)
     exact, level = reference(ensemble, drive, variance=variance), np.ones(points)
     X, pinned = np.linspace(0.0, drive.over(ensemble), points), known(exact.pinned)
     square, error = exact.force_variance, exact.force_variance.stderr or 0.0
@@ -456,7 +456,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     [0.6771, 0.0504, 0.0111]
     """
     require_drive(drive)
-    ensemble.require_steady_state()
+    ensemble.require_steady_state(drive.velocity)
     require_integer("points", points, 2, 10**6)
     if ensemble.populations:
         way, kinds = over_distance(drive, ensemble), ensemble.kinds

@@ -151,9 +151,10 @@ class Ensemble(Checked):
         super().__post_init__()
         if isinstance(self.thresholds, NoThresholds):
             self._make_unlimited(self.thresholds)
-        self.aging.check(self.thresholds, self.disorder)
-        with under("newborn"):
-            self.newborn.check(self.thresholds, self.disorder, self.aging.active)
+        if not self.populations:  # each kind of several is checked for itself
+            self.aging.check(self.thresholds, self.disorder)
+            with under("newborn"):
+                self.newborn.check(self.thresholds, self.disorder, self.aging.active)
         object.__setattr__(self, "populations", tuple(self.populations))  # for its hash
         _ = self.kinds
 
@@ -186,7 +187,8 @@ class Ensemble(Checked):
 
     def _make_unlimited(self, law: NoThresholds) -> None:
         """Adapt contacts without thresholds, whose typical stretch follows from the
-        bond. Raises InputError for what needs thresholds."""
+        bond; of several kinds that is the unit, and each of them is adapted for itself.
+        Raises InputError for what needs thresholds."""
         heat, aging, newborn = self.thermal, self.aging, self.newborn
         force = heat.slip.force if heat.slip else heat.force_scale
         of_threshold = newborn.active and newborn.of == "threshold"
@@ -195,14 +197,16 @@ class Ensemble(Checked):
             ("aging.rule", aging.rule, aging.rule != "none"),
             ("newborn.of", newborn.of, of_threshold),
         ):
-            if wrong:
+            if wrong and not self.populations:
                 said = 'not allowed with thresholds.law = "none"'
                 raise InputError(f'{key} = "{value}": {said}')
-        with under("thresholds"):
-            law = law.of_bond((force or math.inf) / self.stiffness)
+        if force or not self.populations:
+            with under("thresholds"):
+                law = law.of_bond((force or math.inf) / self.stiffness)
         object.__setattr__(self, "thresholds", law)
-        object.__setattr__(self, "stiffness_law", "uniform")
-        object.__setattr__(self, "disorder", "quenched")
+        if not self.populations:
+            object.__setattr__(self, "stiffness_law", "uniform")
+            object.__setattr__(self, "disorder", "quenched")
 
     def declared(self, velocity: float) -> tuple[Any, ...]:
         """List what a life depends on, as it was declared, for the names of random
@@ -225,9 +229,11 @@ class Ensemble(Checked):
         """Mean delay (time) at the ensemble's temperature and a velocity."""
         return self.delay.at(self.thermal.kT, velocity).time
 
-    def require_steady_state(self) -> None:
-        """Raise InputError if no contact forms again and none is pinned in the end."""
-        if self.delay_time(1.0) == math.inf:
+    def require_steady_state(self, velocity: float) -> None:
+        """Raise InputError if contacts do not form again at a velocity, so that none is
+        pinned in the end."""
+        waits = (kind.contacts.delay_time(velocity) for kind in self.kinds)
+        if math.inf in waits:
             said = "no contact forms again, and none is pinned in the steady state"
             raise InputError(f'delay.time = inf: {said}; take drive.start = "fresh"')
 

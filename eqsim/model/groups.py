@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from eqsim.laws.barrier import BARRIERS
-from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS
+from eqsim.laws.barrier.pooled import MOST_POOLED_STEPS, has_thin_tail
+from eqsim.laws.threshold import Gamma
 from eqsim.model.chain import Chain
 from eqsim.model.drive import Drive, Programme, over_distance
 from eqsim.model.elastic import Elastic
@@ -75,7 +76,10 @@ def _of_contacts(ensemble: Ensemble, v: float) -> Rows:
         yield "T/T_*", 0.0 if math.isinf(b) else 1.0 / b, cold
     if rate > 0:
         yield name, v / (rate * unit), said
-    star = ensemble.crossover_velocity if law.steps.size <= MOST_POOLED_STEPS else 0.0
+    pooled = law.steps.size <= MOST_POOLED_STEPS
+    if barrier.by_force and ensemble.stiffness_law == "sqrt":
+        pooled = pooled and has_thin_tail(law)  # or off-rates have no mean
+    star = ensemble.crossover_velocity if pooled else 0.0
     if 0 < star < math.inf:
         where = "" if annealed else ", not of these quenched contacts"
         said = f"crossover velocity of the annealed ensemble{where}"
@@ -148,6 +152,8 @@ def _of_tails(ensemble: Ensemble) -> Rows:
         yield "heavy tails", "yes", why
     elif BARRIERS[ensemble.thermal.barrier].by_force:
         yield "heavy tails", "no", "no: rates do not fall with the threshold"
+    elif not isinstance(law, Gamma) or aging.active:
+        return  # what decides is not b
     elif ensemble.stiffness_law == "sqrt":
         why = "k_i grows with the threshold, so barriers outgrow their rarity"
         yield "heavy tails", "yes", f"at every kT: {why}"

@@ -163,7 +163,7 @@ def legs(ensemble: Ensemble, programme: Programme) -> list[Leg]:
             "with a stage, a hold, and segments of several velocities"
         )
     if programme.start == "stationary":
-        ensemble.require_steady_state()
+        ensemble.require_steady_state(programme.velocity or 0.0)
     drag = ensemble.viscosity
     bent = ensemble.eta * (drag.exponent - 1.0)
     for name, wrong, allowed in (("force", drag.force, 0), ("exponent", bent, 1)):

@@ -187,7 +187,7 @@ def run_fluctuations(
 
 def default_lag(ensemble: Ensemble, drive: Drive) -> float:
     """Five mean cycles of pinned and detached (length)."""
-    ensemble.require_steady_state()
+    ensemble.require_steady_state(drive.velocity)
     means = reference(ensemble, drive)
     return _LAG_CYCLES * known(means.travel) / known(means.pinned)
 

@@ -22,6 +22,7 @@ from eqsim import (
     InputError,
     Interface,
     Newborn,
+    NoThresholds,
     Pareto,
     Population,
     Programme,
@@ -512,6 +513,42 @@ def test_the_mean_field_behind_a_stiff_spring_is_a_rigid_mixture():
     missed = lag + stiff.force_error + rigid.force_error
     assert np.all(np.abs(stiff.force - rigid.force) <= missed)
     assert lag < 1e-3
+
+
+# ---- what stands above them ----
+
+
+def test_kinds_do_not_depend_on_what_stands_above_them():
+    """Contacts with thresholds among bonds without, whichever is written at the top."""
+    bonds = Thermal(barrier="bell", off_rate=0.1, force_scale=1.0)
+    warm = Thermal(0.1)
+    half = Population(0.5)
+    above = Ensemble(
+        NoThresholds(),
+        bonds,
+        populations=(half, Population(0.5, thresholds=Gamma(), thermal=warm)),
+    )
+    below = Ensemble(
+        Gamma(),
+        warm,
+        populations=(Population(0.5, thresholds=NoThresholds(), thermal=bonds), half),
+    )
+    laws = [kind.contacts.stiffness_law for kind in above.kinds]
+    assert laws == ["uniform", "sqrt"]
+    found = [reference(x, DRIVE).friction for x in (above, below)]
+    errors = found[0].stderr + found[1].stderr
+    assert abs(found[0].value - found[1].value) <= errors
+
+
+def test_laws_that_no_contact_has_are_not_checked():
+    """Nor is the unit of length that they have a measure of accuracy."""
+    kinds = [Population(0.5, thresholds=Gamma(1.0, x_star=x)) for x in (1e-9, 2e-9)]
+    aging = Aging("flow", rate=1e-9, x_star_final=3e-9)
+    mixed = Ensemble(aging=aging, populations=kinds)
+    assert reference(mixed, DRIVE).friction.value > 0.0
+    pull = Programme([Segment(0.3, distance=1e-9)], stage=Stage(0.2))
+    task = mean_field.task_of(replace(mixed, aging=Aging()), pull, pull.grid(3))
+    assert task.spring.unit == 1e-9
 
 
 # ---- what needs contacts of one kind ----

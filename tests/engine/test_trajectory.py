@@ -613,3 +613,13 @@ def test_stationary_starts_of_contacts_that_heat_breaks_at_once(log_rate):
     found = trajectory(hot, drive, points=3, replicas=4)
     exact = reference(hot, drive).pinned.value
     assert np.all(np.abs(found.pinned - exact) < 4.5 * found.pinned_stderr)
+
+
+def test_stationary_starts_where_a_slow_drive_shortens_the_delay():
+    """A delay that grows with the velocity counts as it is at that of the drive."""
+    slow = Delay(1.0, velocity_exponent=-10.0, reference_velocity=1e-11)
+    fast = Delay(1.0, velocity_exponent=10.0, reference_velocity=1e-11)
+    for delay in (slow, fast):
+        ensemble = Ensemble(count=100, delay=delay, **UNIFORM)
+        run = trajectory(ensemble, Drive(1e-11, 3.0, start="stationary"), points=3)
+        assert run.pinned[0] > 0.9

@@ -9,6 +9,7 @@ import dataclasses
 import functools
 import itertools
 import math
+import warnings
 
 import mpmath
 import numpy as np
@@ -55,6 +56,7 @@ from eqsim.laws.barrier.catch_slip import CatchSlip
 from eqsim.laws.barrier.pooled import pooled_rate
 from eqsim.master.steady import settled
 from eqsim.master.survivors import hazard_passed
+from eqsim.model.groups import groups
 from eqsim.model.reduced import reduced
 
 BELL = Thermal(barrier="bell", off_rate=0.1, force_scale=2.0)
@@ -753,3 +755,24 @@ def test_catch_bonds_that_little_force_holds(most, force, disorder):
     found = reference(bonds, Drive(1.0))
     assert found.travel.value == pytest.approx(travel, rel=2e-11, abs=0)
     assert found.friction.value == pytest.approx(work / travel, rel=4e-11, abs=0)
+
+
+def test_a_slip_pathway_that_no_force_opens():
+    """No warning; against the midpoint rule, good to (hazard step)^2/24 = 4e-6."""
+    slip = Thermal(barrier="catch-slip", catch=CATCH.catch, slip=Pathway(0.1, math.inf))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = reference(Ensemble(NoThresholds(x_star=1.0), slip), Drive(0.1)).friction
+    whole, weight = 0.0, 0.0
+    for x in np.arange(0.5e-4, 1.0, 1e-4):  # of int x P dx and int P dx
+        hazard = 100.0 * -math.expm1(-x) + x  # in units of the velocity
+        whole, weight = whole + x * math.exp(-hazard), weight + math.exp(-hazard)
+    assert found.value == pytest.approx(whole / weight, rel=1e-5, abs=0)
+
+
+def test_bonds_whose_off_rates_have_no_mean_are_described():
+    """The crossover of annealed bonds is left out where they do not exist."""
+    bell = Thermal(barrier="bell", off_rate=0.1, force_scale=1.0)
+    names = [x.name for x in groups(Ensemble(Exponential(1.0), bell), Drive(0.1))]
+    assert "v_*" not in names
+    assert "b" in names

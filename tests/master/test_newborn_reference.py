@@ -21,6 +21,7 @@ from eqsim import (
     Ensemble,
     Gamma,
     InputError,
+    Pareto,
     Programme,
     Segment,
     Stage,
@@ -909,3 +910,14 @@ def test_births_right_below_a_discrete_threshold(law, newborn):
         value = getattr(exact, name)
         assert value.stderr < 1e-9
         assert abs(z_score(getattr(found, name), value.value)) < 4.5
+
+
+def test_births_among_thresholds_of_a_broad_law():
+    """Hazards over short ways at thresholds of 1e30 are numbers: 0, or below the last
+    bit of the exponent there."""
+    broad = Ensemble(Pareto(3.5), Thermal(0.1), newborn=Newborn("delta", stretch=0.3))
+    exact = transient(broad, Drive(0.1, 2.0), points=5)
+    level = reference(broad, Drive(0.1)).friction
+    assert np.isfinite(exact.force).all()
+    assert np.all(exact.force_error < 1e-4)
+    assert level.value == pytest.approx(exact.force[-1], rel=0.2, abs=0)

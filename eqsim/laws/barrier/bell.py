@@ -70,6 +70,7 @@ def log_mean(z: Any) -> Array:
 def opened(slope: Array, log_ticks: Array) -> Array:
     """Stretch x at which the mean of exp(slope y) over 0 < y < x, times x, is
     exp(log_ticks)."""
+    slope = np.maximum(slope, 1e-100)
     return np.asarray(np.logaddexp(0.0, np.log(slope) + log_ticks) / slope)
 
 
