@@ -45,7 +45,8 @@ _ROUGH_WIDTH = 0.1
 _AT_BOUND = 1e-3
 # Rounds of profiles, each from the better fit that the one before has found.
 _MOST_FITS = 3
-# Rounds in which residuals give the correlation of errors.
+# Rounds in which a record's best fit gives time steps, a correction, and the
+# correlation of errors.
 _WHITENED = 2
 
 # Status of a key whose profile has not been followed yet.
@@ -688,7 +689,11 @@ def rival_of(
 
 def compared(result: FitResult, rival: Problem, every: list[Array]) -> Goodness:
     """Agreement of another model, fitted from its starts, with the same measurements
-    and errors."""
+    and errors; of a record on time steps and with a correction of its own."""
+    minima = [_search(rival)(rival, u) for u in every]
+    best = min(minima, key=lambda one: one.chi2)
     problem = replace(rival, correlation=result.problem.correlation)
-    minima = [_search(problem)(problem, u) for u in every]
-    return goodness(problem, min(minima, key=lambda one: one.chi2).u)
+    for _ in range(_WHITENED if result.table.time is not None else 0):
+        problem = record.corrected(problem, best.u)
+        best = estimate.minimise(problem, best.u)
+    return goodness(problem, best.u)

@@ -312,17 +312,22 @@ def search_record(problem: Problem, u: Array, each: Each = map) -> Minimum:
     return best._replace(solves=sum(end.solves for end in ends))
 
 
+def corrected(problem: Problem, u: Array, each: Each = map) -> Problem:
+    """The problem with time steps and correction at parameters `u`. Raises InputError
+    where there is no solve."""
+    problem = settle_steps(problem, u)
+    assert isinstance(problem.forward, RecordForward)
+    forward = problem.forward.corrected(problem.changes(u), each)
+    return replace(problem, forward=forward)
+
+
 def correlated(
     problem: Problem, u: Array, t: Array, each: Each = map
 ) -> tuple[Problem, Correlation]:
-    """The problem with time steps and correction at parameters `u`, and the correlation
-    of its errors: that of the residuals there, at times `t`, by maximum likelihood
-    of a Markov process of free variance."""
-    problem = settle_steps(problem, u)
-    assert isinstance(problem.forward, RecordForward)
-    problem = replace(
-        problem, forward=problem.forward.corrected(problem.changes(u), each)
-    )
+    """The problem as `corrected`, and the correlation of its errors: that of the
+    residuals there, at times `t`, by maximum likelihood of a Markov process of free
+    variance."""
+    problem = corrected(problem, u, each)
     r, gap = (problem.value - problem.solved(u).predicted) / problem.sigma, np.diff(t)
 
     def deviance(log_tau: float) -> float:
