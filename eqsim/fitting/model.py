@@ -296,9 +296,10 @@ class Problem:
         return sum(one.prior is not None for one in self.parameters)
 
     def jacobian(self, u: Array) -> Array:
-        """Derivatives of the predictions over their standard errors (and of priors)
-        with respect to all parameters, the linear ones too, by central differences,
-        shape (measurements + priors, parameters). Raises InputError."""
+        """A root J of the Fisher information J'J, shape (measurements + priors,
+        parameters): derivatives of the predictions over their standard errors (and of
+        priors) with respect to all parameters, the linear ones too, by central
+        differences. Raises InputError."""
         raw, steps = self.forward.predict(self.changes(u))[0], self.steps(u)
         columns, priors = [], []
         for i, one in enumerate(self.parameters):
@@ -314,7 +315,10 @@ class Problem:
             columns.append(change / self.sigma)
             if one.prior:
                 priors.append(unit / one.prior.sd)
-        return np.vstack((self.white(np.array(columns).T), *priors))
+        rows = self.white(np.array(columns).T)
+        if self.loss == "student":  # a measurement tells less than with a normal law
+            rows *= math.sqrt((STUDENT + 1.0) / (STUDENT + 3.0))
+        return np.vstack((rows, *priors))
 
     def density(self, u: Array) -> float:
         """Logarithm of the posterior density of the parameters' variables, up to a
