@@ -113,8 +113,9 @@ class RateAndState:
         Raises
         ------
         InputError
-            If the programme begins without a velocity, goes back or is under a force,
-            `times` are not within it, or the slider slips without end.
+            If the programme begins without a velocity, goes back, is under a force or
+            a normal load that changes, or has a motor or blocks, `times` are not within
+            it, or the slider slips without end.
 
         Examples
         --------
@@ -174,10 +175,20 @@ def require_programme(programme: Programme, times: Array) -> None:
     if not (programme.velocity or programme.segments[0].velocity) > 0:
         said = "begins at rest; rate-and-state friction begins in steady sliding"
         raise InputError(f"programme: {said}, so give a velocity")
+    said = "rate-and-state friction is pulled forward, or held, under a constant load"
+    blocks = programme.chain is not None or programme.elastic is not None
+    for given, there in (("a motor", programme.motor), ("blocks", blocks)):
+        if there:
+            raise InputError(f"programme: has {given}; {said}")
     for index, segment in enumerate(programme.segments):
-        if segment.forced or segment.velocity < 0:
-            said = "rate-and-state friction is pulled forward, or held"
-            given = "a force" if segment.forced else f"velocity {segment.velocity:g}"
+        given = ""
+        if segment.forced:
+            given = "a force"
+        elif segment.velocity < 0:
+            given = f"velocity {segment.velocity:g}"
+        elif segment.load not in (None, 1.0) or segment.load_rate:
+            given = "a load that changes"
+        if given:
             raise InputError(f"programme.{index}: has {given}; {said}")
     end = programme.corners[0][-1]
     # NaN is not later than any time

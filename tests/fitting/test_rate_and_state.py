@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from analysis import coverage
 from eqsim import (
+    Elastic,
     InputError,
     Programme,
     RateAndState,
@@ -314,6 +315,18 @@ def test_bad_laws():
             replace(LAW, **changes)
     with pytest.raises(InputError, match="begins at rest"):
         LAW.friction(Programme([Segment(time=1.0)]), [0.5])
+    step = Segment(1.0, time=1.0)
+    for programme, said in (
+        (
+            Programme([step, Segment(1.0, time=1.0, load=1.5)]),
+            "programme.1: has a load",
+        ),
+        (Programme([Segment(1.0, time=1.0, load_rate=0.1)]), "programme.0: has a load"),
+        (Programme([step], stall_force=0.1), "programme: has a motor"),
+        (Programme([step], elastic=Elastic(2, 1.0, 1.0)), "programme: has blocks"),
+    ):
+        with pytest.raises(InputError, match=said):
+            LAW.friction(programme, [0.5])
     with pytest.raises(InputError, match="end at 131, after the programme"):
         LAW.friction(PROGRAMME, [131.0])
     for times in ([0.5, math.nan], [2.0, 1.0], [-1.0, 1.0], 0.5, [[0.5, 1.0]]):
