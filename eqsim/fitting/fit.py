@@ -23,6 +23,7 @@ from eqsim.fitting.model import (
     Problem,
     SteadyForward,
 )
+from eqsim.fitting.profiles import WIDE
 from eqsim.fitting.record import Correlation, RecordForward
 from eqsim.fitting.section import Fit, Parameter, parameters_of, section_of
 from eqsim.io import storage
@@ -39,7 +40,7 @@ REJECTED = 1e-3
 # Error of the solver over that of a measurement from which on there is a warning.
 _NOISE_FLOOR = 0.1
 # Half of a 95 % interval over the standard deviation: a smaller one comes of roughness
-# of the solver.
+# of a solver that takes time steps, unless the bounds of other keys end it.
 _ROUGH_WIDTH = 0.1
 # Distance from a bound, over that of the bounds, at which a parameter is there.
 _AT_BOUND = 1e-3
@@ -207,8 +208,11 @@ class FitResult:
                 f"noise floor: the solver's own error is {self.floor:.2g} of a "
                 "measurement's standard error"
             )
-        parameters, sd = self.problem.parameters, np.sqrt(np.diag(self.covariance))
-        for one, x, error in zip(parameters, self.best.u, sd, strict=True):
+        problem, sd = self.problem, np.sqrt(np.diag(self.covariance))
+        forward, told = problem.forward, WIDE * problem.unit_of_variables
+        steps = isinstance(forward, RecordForward) and len(forward.choices) > 0
+        pairs = zip(problem.parameters, self.best.u, sd, sd < told, strict=True)
+        for one, x, error, known in pairs:
             for bound in (one.low, one.high):
                 if abs(x - bound) < _AT_BOUND * (one.high - one.low):
                     doubts.append(
@@ -218,7 +222,8 @@ class FitResult:
             ends = [side.ends["95"] for side in self.profiles.get(one.key, ())]
             nearest = min((abs(u - x) for u in ends if u is not None), default=math.inf)
             # at a bound a covariance says nothing
-            if one.low < x < one.high and nearest < _ROUGH_WIDTH * error:
+            inside = one.low < x < one.high
+            if steps and known and inside and nearest < _ROUGH_WIDTH * error:
                 rough.append(one.key)
         if rough:
             doubts.append(

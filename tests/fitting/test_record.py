@@ -27,7 +27,7 @@ from eqsim.fitting.fit import (
     rival_of,
 )
 from eqsim.fitting.model import Problem
-from eqsim.fitting.profiles import LEVELS
+from eqsim.fitting.profiles import LEVELS, Side
 from eqsim.fitting.record import RecordForward, correlated, settle_steps, shapes
 from eqsim.fitting.section import Parameter, section_of
 from eqsim.io.runfile import at, check
@@ -348,6 +348,37 @@ def test_command(folder):
     assert found["rejected"]
     assert found["correlation"]["effective"] < 81
     assert (folder / "out" / "fit.png").stat().st_size > 10_000
+
+
+def test_short_intervals_are_rough_where_time_steps_are_taken(folder):
+    """Ends a twentieth of the standard deviation away are roughness of a solver that
+    takes time steps. They are not where none are taken, nor where the standard deviation
+    is beyond a factor 3: then the bounds of other keys end an interval."""
+    file = load(folder / "run.toml")
+    _, section, table, problem, _ = prepare(file, None, False)
+    u = problem.start
+    best = Minimum(u, 1.0, True, 1)
+
+    def said(problem, sd):
+        ends = [u[0] - 0.05 * sd, u[0] + 0.05 * sd]
+        sides = [Side(u[None], np.zeros(1), {"95": x}, False) for x in ends]
+        found = FitResult(
+            file=file,
+            fit=section,
+            problem=problem,
+            table=table,
+            best=best,
+            jacobian=np.eye(u.size) / sd,
+            minima=[best],
+            profiles={problem.keys[0]: sides},
+            noticed=[],
+        )
+        return [line for line in found.warnings if "roughness" in line]
+
+    settled = settle_steps(problem, u)
+    assert len(said(settled, 0.5)) == 1
+    assert said(settled, 1.2) == []
+    assert said(problem, 0.5) == []
 
 
 BAD = {
