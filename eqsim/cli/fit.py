@@ -175,18 +175,11 @@ def _both_laws(
     file: "runfile.RunFile", data: Path | None
 ) -> "dict[str, fitting.FitResult]":
     """Rate-and-state friction with both laws of its state, fitted to the record of a
-    run file, with a trend like that of its contacts. Raises InputError."""
-    given = section.section_of(file)
-    if given.record is None:
+    run file. Raises InputError."""
+    if section.section_of(file).record is None:
         raise InputError(f"--compare {RIVAL}: must be of a record, fit.record")
-    trend = "none"
-    if given.trend is not None and "fit.trend" in given.free:
-        trend = given.trend.per
-    elif "fit.drift" in given.free:
-        trend = "time"
-    how: dict[str, Any] = {"data": data, "trend": trend}
-    solve: Any = partial(rate_and_state.fit_rate_and_state, file, **how)
-    return {f"{law} law": solve(law) for law in rate_and_state.LAWS}
+    laws = rate_and_state.LAWS
+    return {f"{law} law": rate_and_state.beside(file, law, data) for law in laws}
 
 
 @dataclass(frozen=True)

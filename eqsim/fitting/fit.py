@@ -392,11 +392,9 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
             both = "not allowed with fit.record.machine_stiffness"
             raise InputError(f"fit.free.drive.stage.stiffness: {both}")
         forward = RecordForward(file, table.time, stiffness, fixed)
-        for key, shape in record.shapes(file, section, table.time).items():
-            if key in section.free:
-                nuisance[key] = shape
-            else:
-                value = value - section.nuisance(key) * shape
+        value = record.without_fixed(file, section, table)
+        known = record.shapes(file, section, table.time).items()
+        nuisance = {key: shape for key, shape in known if key in section.free}
     parameters = [one for one in free if one.key not in nuisance]
     first, scale_of = len(parameters), np.full(names.size, -1)
     unit = np.ones(names.size)

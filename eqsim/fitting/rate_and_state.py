@@ -33,7 +33,12 @@ from eqsim.fitting.fit import (
     measured,
 )
 from eqsim.fitting.model import Problem
-from eqsim.fitting.record import RecordForward, programme_of, read_record
+from eqsim.fitting.record import (
+    RecordForward,
+    programme_of,
+    read_record,
+    without_fixed,
+)
 from eqsim.fitting.section import Fit, Parameter, section_of
 from eqsim.io.csv import read
 from eqsim.io.runfile import RunFile, check, opened
@@ -186,12 +191,40 @@ def fit_rate_and_state(
     table = measured(file, section, None if data is None else Path(data), progress)
     stiffness = stiffness or section.record.machine_stiffness
     problem = problem_of(file, table, law, trend, stiffness)
-    if table.value.size <= len(problem.parameters):
-        count, free = table.value.size, len(problem.parameters)
-        raise InputError(f"fit.record: has {count} points for {free} parameters")
-    every = estimate.starts(problem, starts, file.output.seed)
-    estimate.check_starts(problem, every)
     prepared = Prepared(file, section, table, problem, [])
+    return _solved(prepared, starts, workers, progress)
+
+
+def beside(file: RunFile, law: StateLaw, data: Path | None) -> RateAndStateFit:
+    """Fit rate-and-state friction to a record as the contacts of a run file are fitted:
+    less offsets and trends that are fixed, and with a trend where they have a free one.
+    Raises InputError."""
+    section = section_of(file)
+    assert section.record is not None
+    table = measured(file, section, data)
+    trend: Trend = "none"
+    if section.trend is not None and "fit.trend" in section.free:
+        trend = section.trend.per
+    elif "fit.drift" in section.free:
+        trend = "time"
+    bare = table._replace(value=without_fixed(file, section, table))
+    problem = problem_of(file, bare, law, trend, section.record.machine_stiffness)
+    return _solved(Prepared(file, section, table, problem, []))
+
+
+def _solved(
+    prepared: Prepared,
+    starts: int = 8,
+    workers: int = 1,
+    progress: Progress = lambda done, total: None,
+) -> RateAndStateFit:
+    """Least squares from every start, and intervals. Raises InputError."""
+    problem = prepared.problem
+    if problem.value.size <= len(problem.parameters):
+        count, free = problem.value.size, len(problem.parameters)
+        raise InputError(f"fit.record: has {count} points for {free} parameters")
+    every = estimate.starts(problem, starts, prepared.file.output.seed)
+    estimate.check_starts(problem, every)
     with Workers(workers).executor() as executor:
         tasks = estimate.Tasks(executor)
         found = fit_prepared(prepared, every, tasks, progress)

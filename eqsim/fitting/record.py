@@ -280,6 +280,17 @@ def shapes(file: RunFile, fit: Fit, t: Array) -> dict[str, Array]:
     return found
 
 
+def without_fixed(file: RunFile, fit: Fit, table: Measurements) -> Array:
+    """Values of a record less its offset, drift and trend, as far as these are fixed.
+    Raises InputError."""
+    assert table.time is not None
+    value = table.value
+    for key, shape in shapes(file, fit, table.time).items():
+        if key not in fit.free:
+            value = value - fit.nuisance(key) * shape
+    return value
+
+
 class Correlation(NamedTuple):
     """Correlation time of residuals, 0 if they are independent, and the `effective`
     number of independent points."""

@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,9 +26,11 @@ from eqsim import (
     record_of,
 )
 from eqsim.cli.app import app
+from eqsim.fitting import rate_and_state
 from eqsim.fitting.estimate import minimise
 from eqsim.fitting.fit import goodness
 from eqsim.fitting.profiles import LEVELS
+from eqsim.io.runfile import check
 
 LONG, param = pytest.mark.verification, pytest.param
 RUNS = Path(__file__).parents[2] / "runs"
@@ -278,6 +281,28 @@ def test_both_laws_beside_contacts(tmp_path):
     assert list(data) == ["contacts", "slip law", "aging law"]
     assert not data["contacts"]["rejected"]
     assert (tmp_path / "out" / "rate-and-state.png").exists()
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_trends_of_contacts_hold_for_both_laws(tmp_path, monkeypatch, free):
+    """A record of the law and a trend of 1e-3 per displacement: where that is fixed for
+    the contacts what is fitted is the law's friction, to the rounding of 12 digits;
+    where it is free it is free here, too."""
+    step = Programme([Segment(1.0, time=20.0), Segment(10.0, time=30.0)])
+    t = np.linspace(0.0, 50.0, 11)
+    mu, trend = LAW.friction(step, t), 1e-3 * step.position(t)
+    lines = [f"{x:.12g},{y:.12g}" for x, y in zip(t, mu + trend, strict=True)]
+    (tmp_path / "step.csv").write_text("t,mu\n" + "\n".join(lines) + "\n")
+    how = {"velocities": [1, 10], "at": [20.0], "noise": 1e-4}
+    content = deepcopy(record_of(tmp_path / "step.csv", **how).given)
+    content["fit"]["trend"] = {"per": "displacement", "value": 1e-3}
+    if free:
+        content["fit"]["free"] = {"fit.trend": {"bounds": [-1.0, 1.0]}}
+    monkeypatch.setattr(rate_and_state, "_solved", lambda prepared: prepared.problem)
+    problem = rate_and_state.beside(check(content, tmp_path), "slip", None)
+    fitted = mu + trend if free else mu
+    np.testing.assert_allclose(problem.value, fitted, rtol=0, atol=1e-11)
+    assert ("trend" in problem.nuisance) == free
 
 
 CSV = ("rsf", str(RUNS / "basalt-velocity-step.csv"))
