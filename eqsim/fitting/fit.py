@@ -341,13 +341,27 @@ def prepare(
             f"fit.data: has {count} measurements for {len(free)} free keys; "
             f"at least {needed} are needed"
         )
-    seen = {"record"} if table.time is not None else set(table.observable)
     loose = [one for one in free if one.prior is None]
-    reasons = symmetry.refused(file, loose, bool(scales), seen)
+    reasons = _symmetries(file, table, loose, bool(scales))
     if reasons and not allow_degenerate:
         hint = "--allow-degenerate fits all the same"
         raise InputError(f"fit.free: {reasons[0]} ({hint})")
     return Prepared(file, section, table, problem_of(file, section, table), reasons)
+
+
+def _symmetries(
+    file: RunFile, table: Measurements, free: list[Parameter], scaled: bool
+) -> list[str]:
+    """Reasons why data cannot determine free keys, those that hold for the keys of every
+    row."""
+    seen = {"record"} if table.time is not None else set(table.observable)
+    rows = dict.fromkeys(
+        tuple(pair for pair in row.changes if pair[0] != "drive.velocity")
+        for row in table.conditions
+    )
+    files = [at(file, dict(row)) for row in rows]
+    first, *others = [symmetry.refused(one, free, scaled, seen) for one in files]
+    return [reason for reason in first if all(reason in one for one in others)]
 
 
 def measured(

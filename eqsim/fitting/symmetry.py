@@ -37,6 +37,10 @@ _HOT = 0.3
 _COLD = 1e3
 # Keys that scale a law of thresholds; the others change its shape.
 _SIZES = ("thresholds.x_star", "thresholds.high")
+# Keys of the drag of a detached contact.
+_DRAGS = ("viscosity.eta", "viscosity.force")
+# Observables that begin with contacts all pinned, or change in time.
+_FROM_FRESH = {"record", "peak_ratio", "peak_X"}
 # Observables for which the limits of b are not taken to hold.
 _UNSEEN = {"force_std", "peak_ratio", "peak_X"}
 
@@ -126,7 +130,7 @@ def _limits(
     if cold and "thermal.attempt_frequency" in by_key:
         yield "thermal.attempt_frequency: has no effect at thermal.kT = 0"
     idle = {"drive.distance", "drive.stage.tolerance"}
-    if "record" not in measured:
+    if measured.isdisjoint(_FROM_FRESH):
         idle |= {"delay.shape", "delay.sigma"}
     for key in by_key:
         if key in idle:
@@ -134,9 +138,12 @@ def _limits(
     shapes = (key for key in by_key if key.startswith("thresholds."))
     widths = [key for key in shapes if key not in _SIZES]
     if cold and widths and measured <= {"friction", "pinned"}:
-        free_scale = {"fit.scale"} if scaled else set()
-        sizes = (*_SIZES, "fit.scale")
-        level = [key for key in sizes if key in by_key.keys() | free_scale]
+        drags = [k for k in _DRAGS if file[k] and k not in by_key]
+        delayed = file["delay.time"] != 0 or "delay.time" in by_key
+        level = [key for key in _SIZES if key in by_key]
+        # the drag of detached contacts, if it is known, tells how many there are
+        if scaled and not (drags and delayed):
+            level.append("fit.scale")
         absorbs = bool(level)
         if rule == "none":
             timed = file["delay.time"] == 0 or "delay.time" in by_key

@@ -669,6 +669,47 @@ def test_what_is_no_symmetry_is_not_refused(tmp_path, free, data):
     assert len(prepared.warnings) == (free == ALL[:3])
 
 
+N_FREE = {"thresholds.n": {"bounds": [0.0, 9.0], "transform": "log1p"}}
+DELAYED = {
+    "delay": {"law": "gamma", "time": 0.05, "shape": 2.0},
+    "thresholds": {"n": 1.0},
+}
+KT_ROWS = "thermal.kT,drive.velocity,friction\n0,1,0.5\n0.1,1,0.4\n0.1,2,0.5\n"
+TOLD = {
+    "the scale by a drag": (
+        {**DELAYED, "viscosity": {"eta": 0.02}}, {**N_FREE, **bounds("delay.time")}, DATA, DELAYED,
+    ),
+    "the scale by a constant drag": (
+        {**DELAYED, "viscosity": {"force": 0.02}}, {**N_FREE, **bounds("delay.time")}, DATA, DELAYED,
+    ),
+    "rates by temperatures of rows": (
+        {}, bounds("thermal.attempt_frequency"), KT_ROWS, KT_ROWS.replace("0.1", "0"),
+    ),
+    "the delay law by a peak": (
+        DELAYED, bounds("delay.shape"), DATA.replace("friction", "peak_ratio"), DATA,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TOLD)
+def test_keys_that_something_else_tells_are_not_refused(tmp_path, name):
+    """They are without it (negative control): with other contacts or other data."""
+    content, free, data, without = TOLD[name]
+
+    def reasons(content, data):
+        (tmp_path / "data.csv").write_text(data)
+        section = {"data": "data.csv", "noise": {"relative": 0.05}, "free": free}
+        if "peak" not in data:
+            section["scale"] = {"start": 1.0, "bounds": [0.01, 100.0]}
+        return prepare(
+            check({**content, "fit": section}, tmp_path), None, True
+        ).warnings
+
+    assert reasons(content, data) == []
+    control = (content, without) if isinstance(without, str) else (without, data)
+    assert len(reasons(*control)) == 1
+
+
 def test_the_standard_deviation_of_the_force_of_each_stiffness(tmp_path):
     """A column of stiffnesses: predictions are those of run files with these, to
     rounding."""
