@@ -144,6 +144,9 @@ def _checked_columns(
     if fit.temperature not in (None, *header):
         given = f'fit.temperature = "{fit.temperature}"'
         raise InputError(f"{given}: no such column; there are {', '.join(header)}")
+    twice = [name for name in header if name.endswith("thermal.temperature")]
+    if fit.temperature is not None and twice:
+        raise InputError(f"fit.temperature: not allowed with a column {twice[0]}")
     observables = [name for name in MEASURED if name in header]
     if not observables:
         raise InputError(f"fit.data: needs an observable: {', '.join(MEASURED)}")

@@ -237,10 +237,28 @@ def section_of(file: RunFile) -> Fit:
     for key in unused:
         if getattr(fit, key.removeprefix("fit.")) not in (None, 0.0):
             raise InputError(f"{key}: {said}")
+    if fit.temperature is not None:
+        fit = _with_reference(file, fit)
     if (fit.temperature is None) != (fit.reference_temperature is None):
         missing = "temperature" if fit.temperature is None else "reference_temperature"
         said = "kT of a row is thermal.kT temperature/reference_temperature"
         raise InputError(f"fit.{missing}: is required; {said}")
+    return fit
+
+
+def _with_reference(file: RunFile, fit: Fit) -> Fit:
+    """The section with the temperature to which a fixed kT of the run file belongs as
+    the reference temperature. Raises InputError for another one."""
+    for key in keys(file):
+        kT = key.replace("thermal.temperature", "thermal.kT")
+        free = {kT, "thermal.kT"} & fit.free.keys()
+        if kT == key or free or file[key] is None:
+            continue
+        reference = fit.reference_temperature
+        if reference not in (None, file[key]):
+            said = f"must be {key}, {file[key]:g}, or left out"
+            raise InputError(f"fit.reference_temperature = {reference:g}: {said}")
+        fit = fit.model_copy(update={"reference_temperature": file[key]})
     return fit
 
 

@@ -416,6 +416,22 @@ def test_temperatures(folder):
     assert not found.rejected
 
 
+def test_the_temperature_of_a_run_file_is_the_reference(tmp_path):
+    """A row at the temperature of the run file has its kT, and another in proportion;
+    where kT is free the reference is the section's."""
+    rows = "drive.velocity,T,friction\n1,300,1\n1,450,1\n"
+    (tmp_path / "data.csv").write_text(rows)
+    section = {"data": "data.csv", "noise": {"relative": 0.05}, "temperature": "T"}
+
+    def heats(**more):
+        file = check({**AT_300_K, "fit": {**section, **more}}, tmp_path)
+        return [row.heat for row in prepare(file, None, True).table.conditions]
+
+    assert heats(free=bounds("thresholds.x_star")) == [1.0, 1.5]
+    free = bounds("thermal.kT", low=1e-22, high=1e-20)
+    assert heats(free=free, reference_temperature=150.0) == [2.0, 3.0]
+
+
 def test_compared_at_the_same_temperatures(folder):
     """The same model in a run file whose kT is that at another temperature has the same
     chi-square, to rounding; keys that are columns of the data are not free, and
@@ -750,6 +766,11 @@ def test_the_standard_deviation_of_the_force_of_populations(tmp_path):
 
 
 FREE = {"thermal.kT": {"bounds": [1e-3, 20.0]}}
+AT_300_K = {
+    "units": {"length": "m", "time": "s", "force": "N"},
+    "contacts": {"stiffness": 1e-20},
+    "thermal": {"temperature": 300.0},
+}
 BAD = {
     "no [fit]": ({}, None, DATA, "fit: the run file has no section"),
     "empty free": ({}, {"free": {}}, DATA, "fit.free: is empty"),
@@ -780,6 +801,12 @@ BAD = {
     "cold": ({}, {"temperature": "T", "reference_temperature": 260.0}, DATA.replace("drive.velocity", "T") + "0,1\n",
              "T = 0: must be > 0"),
     "no temperatures": ({}, {"temperature": "T", "reference_temperature": 260.0}, DATA, "no such column"),
+    "another reference": (AT_300_K, {"free": bounds("thresholds.x_star"), "temperature": "T",
+                                     "reference_temperature": 260.0}, DATA,
+                          "fit.reference_temperature = 260: must be thermal.temperature, 300, or left out"),
+    "two temperatures": (AT_300_K, {"free": bounds("thresholds.x_star"), "temperature": "T"},
+                         "T,thermal.temperature,friction\n300,300,1\n300,310,1\n",
+                         "fit.temperature: not allowed with a column thermal.temperature"),
     "no reference": ({}, {"temperature": "T"}, DATA, "fit.reference_temperature: is required"),
     "decimal commas": ({}, {}, DATA.replace("0.5", "0,5"), "line 4: more values than columns (a decimal comma?)"),
     "quoted decimal commas": ({}, {}, DATA.replace("0.5", '"0,5"'), "decimal commas must be points"),
