@@ -172,15 +172,17 @@ class FitResult:
     def derived(self) -> dict[str, float]:
         """Groups of the best fit: F0 = N k x_* (scale times x_*), v0 = omega x_*, b, v_* of
         annealed contacts, and where the section gives an area or a normal stress, contacts
-        per area and their spacing; nothing of several populations."""
+        per area and their spacing; those that have a scale for each set. Nothing of
+        several populations."""
         ensemble = at(self.file, self.changes).ensemble
         if ensemble.populations:
             return {}
         thermal, unit = ensemble.thermal, ensemble.thresholds.scale
-        scales, scale = self.fit.scales(self.table.sets)
-        if scales:
-            scale = self.values[scales[0].key]
-        groups = {"F0 = N k x_*": scale * unit}
+        scales, fixed = self.fit.scales(self.table.sets)
+        said = [f" of set {one.key.removeprefix('fit.scale.')}" for one in scales]
+        known = [self.values[one.key] for one in scales] or [fixed]
+        of_set = dict(zip(said if len(scales) > 1 else [""], known, strict=True))
+        groups = {f"F0{of} = N k x_*": scale * unit for of, scale in of_set.items()}
         if thermal.kT > 0:
             kelvin = self.file.units.kelvin(thermal.kT)
             if kelvin is not None:
@@ -194,9 +196,10 @@ class FitResult:
         area, stress = self.fit.area, self.fit.normal_stress
         per_area = 1.0 / area if area is not None else stress
         if per_area is not None:
-            density = scale / ensemble.stiffness * per_area
-            groups["contacts per area"] = density
-            groups["spacing of contacts"] = 1.0 / math.sqrt(density)
+            for of, scale in of_set.items():
+                density = scale / ensemble.stiffness * per_area
+                groups[f"contacts per area{of}"] = density
+                groups[f"spacing of contacts{of}"] = 1.0 / math.sqrt(density)
         return {name: float(value) for name, value in groups.items()}
 
     @cached_property

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from eqsim.fitting import pictures
+from eqsim.fitting.data import MeasuredAt
 from eqsim.fitting.estimate import DEGENERATE, different
 from eqsim.fitting.fit import REJECTED, FitResult, Goodness, Prepared
 from eqsim.fitting.model import velocity_of
@@ -289,8 +290,9 @@ def remarks(result: FitResult) -> Iterator[str]:
             factor = math.exp(min(rung.sd, 50.0))
             yield f"known to no better than a factor {factor:.3g}: {rung.name}"
     unsure = [one.key for one in result.intervals if one.status in UNSURE]
-    thermal = any(key.startswith("thermal.") for key in unsure)
-    if thermal and len({one.heat for one in result.table.conditions}) == 1:
+    heat = ("thermal.kT", "thermal.attempt_frequency")
+    thermal = result.table.time is None and any(key.endswith(heat) for key in unsure)
+    if thermal and len({_temperature(one) for one in result.table.conditions}) == 1:
         yield (
             "these are data of one temperature: a second one tells most about heat and "
             "thresholds (eqsim design)"
@@ -303,6 +305,11 @@ def remarks(result: FitResult) -> Iterator[str]:
     for name, value in result.derived.items():
         yield f"{name} = {value:.4g}"
     yield from result.warnings
+
+
+def _temperature(row: MeasuredAt) -> tuple[Any, ...]:
+    """What a row of a table says of its temperature."""
+    return (row.heat, *(pair for pair in row.changes if "thermal." in pair[0]))
 
 
 def _correlated(result: FitResult) -> Iterator[str]:

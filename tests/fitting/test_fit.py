@@ -339,7 +339,8 @@ def test_levels():
 
 
 def test_open_sides(folder):
-    """Far above v_* nothing depends on kT: the profile is flat and reaches both bounds."""
+    """Far above v_* nothing depends on kT: the profile is flat and reaches both bounds.
+    A second temperature is proposed, but not of a record, nor of rows that have one."""
     lines = [f"{v},{F}" for v, F in measured(1, velocities=np.geomspace(1e3, 1e5, 8))]
     (folder / "data.csv").write_text("drive.velocity,friction\n" + "\n".join(lines))
     refused = call("fit", folder / "run.toml", "--out", folder / "out")
@@ -356,9 +357,23 @@ def test_open_sides(folder):
     assert scale.status == "determined"
     assert report.summary(found)["eigenvalues"][-1]["ratio"] < 1e-7
 
+    def proposed(table):
+        lines = report.remarks(replace(found, table=table))
+        return any("data of one temperature" in line for line in lines)
+
+    table = found.table
+    rows = [
+        row._replace(changes=(*row.changes, ("thermal.kT", kT)))
+        for row, kT in zip(table.conditions, np.geomspace(0.1, 1.0, 8), strict=True)
+    ]
+    assert proposed(table)
+    assert not proposed(table._replace(conditions=rows))
+    assert not proposed(table._replace(time=np.arange(8.0)))
+
 
 def test_sets_have_their_own_scale(folder):
-    """Two sets that differ by a factor: two scales, and kT from both."""
+    """Two sets that differ by a factor: two scales, and kT from both. What follows from a
+    scale is said of each set."""
     lines = [f"{v},{F},a" for v, F in measured(1)] + [
         f"{v},{10 * F},b" for v, F in measured(2)
     ]
@@ -369,6 +384,9 @@ def test_sets_have_their_own_scale(folder):
         10.0, rel=0.2, abs=0
     )
     assert found.goodness.dof == 21
+    derived = {key for key in found.derived if key.startswith("F0")}
+    assert derived == {"F0 of set a = N k x_*", "F0 of set b = N k x_*"}
+    assert found.derived["F0 of set b = N k x_*"] == values["fit.scale.b"]
 
 
 def test_outliers(folder):
