@@ -51,7 +51,7 @@ def band(problem: Problem, result: "FitResult") -> tuple[Array, Array]:
     for i, signed in enumerate(np.where(u + steps <= problem.high, steps, -steps)):
         moved = u + signed * (np.arange(u.size) == i)
         columns.append((problem.given(moved) - values) / signed)
-    root, _ = inverse_root(result.problem.jacobian(u), _NO_EFFECT)
+    root, _ = inverse_root(result.jacobian, _NO_EFFECT)
     return values, np.sqrt(((np.array(columns).T @ root) ** 2).sum(axis=1))
 
 

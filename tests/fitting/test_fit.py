@@ -1182,8 +1182,8 @@ def test_bands_in_any_unit(unit):
         nuisance={"fit.offset": np.ones(x.size)},
     )
     best = minimise(problem, problem.start)
-    _, sd = band(problem, SimpleNamespace(best=best, problem=problem))
     jacobian = problem.jacobian(best.u)
+    _, sd = band(problem, SimpleNamespace(best=best, jacobian=jacobian))
     rows = problem.sigma[:, None] * jacobian[: x.size]
     right = np.sqrt(np.diag(rows @ covariance(jacobian) @ rows.T))
     np.testing.assert_allclose(sd, right, rtol=3e-4)
