@@ -55,7 +55,8 @@ _STIFFNESS = (
 )
 _TREND = 'Friction changes in proportion to the "displacement" of the load point, to "time", or not ("none").'
 _VELOCITIES = (
-    "Of a CSV file: velocities of the load point, one after the other; 0: a hold."
+    "Of a CSV file: velocities of the load point, one after the other; 0: a hold, not "
+    "at first."
 )
 _AT = (
     "Of a CSV file: times at which the velocity changes, with commas between them; one "
@@ -211,11 +212,12 @@ class RecordOptions:
         if self.velocity is None:
             said = "is required with a CSV file: velocities of the load point, 3,10"
             raise InputError(f"--velocity: {said}")
+        names = self.columns.split(",") if self.columns else ()
         return rate_and_state.record_of(
             path,
             velocities=_numbers("--velocity", self.velocity),
             at=_numbers("--at", self.at) if self.at else (),
-            columns=self.columns.split(",") if self.columns else (),
+            columns=[name.strip() for name in names],
             noise=self.noise,
         )
 

@@ -316,7 +316,7 @@ def record_of(
         CSV file with columns of time, force and, unless there is `noise`, of standard
         errors.
     velocities : sequence of float
-        Velocities of the load point, one after the other; 0 is a hold.
+        Velocities of the load point, one after the other; 0 is a hold, not at first.
     at : sequence of float
         When it changes from one to the next (time).
     columns : sequence of str
@@ -339,6 +339,9 @@ def record_of(
     require_number("noise", noise, **NOT_NEGATIVE)
     if len(velocities) == 0:
         raise InputError("velocities = []: must hold one velocity at least")
+    if not velocities[0] > 0:
+        said = "the first must be > 0; rate-and-state friction begins in steady sliding"
+        raise InputError(f"velocity = {velocities[0]:g}: {said}")
     path = Path(path)
     given = f"at = {shown(list(at))}"
     if len(velocities) != len(at) + 1:
@@ -351,6 +354,8 @@ def record_of(
     if not (len(names) == 3 or (len(names) == 2 and noise)):
         said = "must be those of time, force and, unless there is noise, standard error"
         raise InputError(f"columns = {shown(names)}: {said}")
+    for name in names:
+        sheet.index(name, f" (columns = {shown(names)})")
     record = dict(zip(("time", "force", "stderr"), names, strict=False))
     section = {
         "record": {"file": path.name, **record},

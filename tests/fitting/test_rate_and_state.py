@@ -313,6 +313,11 @@ BAD = {
     (*CSV, "--velocity", "3,10"): "--at = []: must be 1",
     (*CSV, "--velocity", "3,10", "--at", "99"): "between 0 and 51.495",
     (*CSV, "--velocity", "3,-1", "--at", "9"): "programme.1: has velocity -1",
+    (*CSV, "--velocity", "0,10", "--at", "9"): "--velocity = 0: the first must be > 0",
+    (
+        *(*CSV, "--velocity", "3", "--columns", "time_s, nu, mu_stderr"),
+    ): 'needs a column "nu" in its first line; found time_s, mu, mu_stderr '
+    "(--columns = ['time_s', 'nu', 'mu_stderr'])",
     (*CSV, "--velocity", "3", "--columns", "mu"): "--columns = ['mu']: must be",
     (*CSV, "--velocity", "3", "--seed", "1"): "--set, --seed: change a run file",
     (*TOML, "--velocity", "3"): "--velocity 3: only of a CSV file",
