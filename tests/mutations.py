@@ -1408,6 +1408,8 @@ MISTAKES = [
     M("bursts: strength of a bundle in which none has broken", "master/bursts.py",
       "stretch * float(held[0]) * left, left)", "stretch * float(held[0]), left)",
       "test_bursts.py::test_tail_and_last_burst"),
+    M("bursts: of contacts that age", "master/bursts.py", "if ensemble.aging.active or ensemble.newborn",
+      "if ensemble.newborn", "test_bursts.py::test_refused"),
     M("bursts: Borel's law with a follower more", "master/bursts.py", "special.xlogy(s - 1.0, a)",
       "special.xlogy(s, a)", "test_bursts.py::test_hemmer_and_hansen"),
     # laboratory

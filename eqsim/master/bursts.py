@@ -85,7 +85,7 @@ def bursts(ensemble: Ensemble, sizes: ArrayLike) -> Bursts:
     Parameters
     ----------
     ensemble : Ensemble
-        Its law of thresholds and of stiffness; delay and aging play no part.
+        Contacts of one kind; their delay plays no part.
     sizes : array_like, shape (sizes,)
         Whole numbers >= 1; by default 1 to 1000 of a run file.
 
@@ -96,8 +96,9 @@ def bursts(ensemble: Ensemble, sizes: ArrayLike) -> Bursts:
     Raises
     ------
     InputError
-        For a temperature above 0, a law of finitely many thresholds (its bursts are of
-        the order of N), and sizes that are no whole numbers >= 1.
+        For a temperature above 0, contacts that age or are born stretched, a law of
+        finitely many thresholds (its bursts are of the order of N), and sizes that are
+        no whole numbers >= 1.
 
     Examples
     --------
@@ -106,6 +107,9 @@ def bursts(ensemble: Ensemble, sizes: ArrayLike) -> Bursts:
     >>> [f"{number:.9f}" for number in found.number]
     ['0.160695591', '0.027820240', '0.000449469']
     """
+    if ensemble.aging.active or ensemble.newborn.active:
+        said = "bursts are those of contacts that do not age and are born unstretched"
+        raise InputError(f"aging, newborn: {said}")
     law, contacts = ensemble.thresholds, reduced(ensemble, ensemble.thresholds.scale)
     s = np.asarray(sizes, float)
     if s.ndim != 1 or not 0 < s.size <= _MOST_SIZES or np.any((s < 1) | (s % 1 != 0)):

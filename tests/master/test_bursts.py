@@ -8,12 +8,14 @@ import pytest
 from scipy import integrate, stats
 
 from eqsim import (
+    Aging,
     Delta,
     Ensemble,
     Exponential,
     Gamma,
     InputError,
     Lognormal,
+    Newborn,
     Normal,
     Pareto,
     Table,
@@ -161,6 +163,8 @@ def test_first_break_may_be_the_last_burst():
         (bundle(Delta(1.0)), [1], "must have a density"),
         (bundle(Table([1.0, 2.0])), [1], "must have a density"),
         (Ensemble(thermal=Thermal(kT=0.1)), [1], "thermal: must be off"),
+        (Ensemble(aging=Aging("flow", math.inf, 2.0)), [1], "do not age"),
+        (Ensemble(newborn=Newborn("delta", stretch=0.3)), [1], "born unstretched"),
         (bundle(Weibull(2.0)), [], "sizes"),
         (bundle(Weibull(2.0)), [0], "sizes"),
         (bundle(Weibull(2.0)), [1.5], "sizes"),
