@@ -1401,6 +1401,8 @@ MISTAKES = [
     M("lifetimes: the way there and back do not add up", "master/lifetimes.py",
       "gain * (m + 2 * longer * t)", "gain * m",
       "test_lifetimes.py::test_survival_is_the_exponential_of_the_chain"),
+    M("lifetimes: delays at one threshold per time", "master/lifetimes.py", "exponent != 0.0", "False",
+      "test_lifetimes.py::test_refused"),
     M("lifetimes: pinned contacts are pinned again", "master/lifetimes.py", "(N - n) / tau if again",
       "(N - n + 1.0) / tau if again", "test_lifetimes.py::test_published_means_of_bell_bonds"),
     M("lifetimes: those that were pinned again never leave", "master/lifetimes.py", "z = (p + u * psi) *",

@@ -75,7 +75,8 @@ def lifetime(ensemble: Ensemble, drive: Programme, *, points: int = 201) -> Life
     ----------
     ensemble : Ensemble
         Up to 100 000 contacts of one threshold that do not age, born unstretched and
-        without viscosity, with an infinite or an exponential delay.
+        without viscosity, with an infinite or an exponential delay that does not depend
+        on the velocity.
     drive : Programme
         One segment with a constant force, whose instants are those of the survival;
         with `rebinding` "shared" if contacts are pinned again.
@@ -119,11 +120,15 @@ def chain_of(ensemble: Ensemble, drive: Programme) -> Chain:
     if segment is None or segment.force_rate or force < 0.0:
         raise InputError("drive.force: must be given, constant and >= 0")
     again, random = tau < math.inf, delay.law == "exponential" and tau > 0.0
+    exponent = ensemble.delay.velocity_exponent
     drags = ensemble.eta or ensemble.viscosity.force
     for said, wrong in {
         "thresholds: must all be equal": law.steps.size != 1,
         f'delay.time = {tau:g}: must be inf, or with law = "exponential" > 0': (
             again and not random
+        ),
+        f"delay.velocity_exponent = {exponent:g}: must be 0 under a force": (
+            exponent != 0.0
         ),
         'drive.rebinding: must be "shared", for forces to be equal': (
             again and drive.rebinding != "shared"

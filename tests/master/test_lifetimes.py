@@ -2,6 +2,7 @@
 exponential of the chain, mpmath and clusters broken one by one."""
 
 import math
+from dataclasses import replace
 
 import mpmath
 import numpy as np
@@ -211,6 +212,11 @@ def test_result_and_limits():
         (Ensemble(Delta(), Thermal(0.1), Delay(2.0), count=5), CREEP, "delay.time = 2"),
         (bonds(3, 0.0), CREEP, "delay.time = 0: must be inf"),
         (bonds(200_000), CREEP, "contacts.count = 200000"),
+        (
+            replace(bonds(3), delay=Delay(2.0, "exponential", velocity_exponent=1.0)),
+            CREEP,
+            "delay.velocity_exponent = 1: must be 0",
+        ),
         (bonds(3, eta=0.1), CREEP, "viscosity: not in a cluster"),
     ],
 )
