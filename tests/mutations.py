@@ -1247,6 +1247,8 @@ MISTAKES = [
       "band[1, -1] -= coupling", "test_chains.py::test_loads_of_precursors_are_rational"),
     M("chains: blocks of few contacts push as others do", "master/chains.py", "G[:, ready] @ weight[ready]",
       "G[:, ready].sum(axis=1)", "test_chains.py::test_precursors_of_two_blocks_of_unequal_load"),
+    M("chains: contacts that have aged at once", "master/chains.py", "not ensemble.aging.active and not contacts.delay",
+      "not contacts.delay", "test_chains.py::test_what_is_refused_is_named"),
     M("chains: static friction is the largest that is tried", "master/chains.py", "return -float(found.fun)",
       "return float(per_block(tried).max())",
       "test_chains.py::test_static_friction_falls_with_length_from_peak_to_steady_friction"),

@@ -20,7 +20,6 @@ from scipy import integrate, linalg, optimize
 from scipy.interpolate import CubicSpline
 
 from eqsim.errors import InputError, require_integer, require_number
-from eqsim.laws.aging import Unaged
 from eqsim.laws.no_thresholds import has_jumps
 from eqsim.master.chain_fronts import decay
 from eqsim.master.transient import transient
@@ -191,7 +190,7 @@ class _Law(NamedTuple):
 def _law_of(ensemble: Ensemble) -> _Law:
     """F(X). Raises InputError unless it is a smooth function of X."""
     contacts = reduced(ensemble, 1.0)
-    still = isinstance(contacts.aging, Unaged) and not contacts.delay.mean
+    still = not ensemble.aging.active and not contacts.delay.mean
     if contacts.barrier.thermal or not still:
         raise InputError(
             "thermal.kT: must be 0 without delay and aging, as the force is a function "

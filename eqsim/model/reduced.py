@@ -283,7 +283,8 @@ def births(
     ensemble: Ensemble, velocity: float, mean_stretch: float | None = None
 ) -> ThresholdLaw:
     """Law of thresholds at birth: newborn ones, final ones if they age at once, or
-    those of star1 for annealed contacts of mean stretch C at breaking (length)."""
+    those of star1 for annealed contacts of mean stretch C at breaking (length). Raises
+    InputError where C is needed and not given."""
     law, aging = ensemble.thresholds, ensemble.aging
     if not aging.active or not isinstance(law, Gamma):
         return law
@@ -292,7 +293,9 @@ def births(
     if ensemble.disorder == "quenched":
         return law
     if mean_stretch is None:
-        raise ValueError("annealed contacts that age need a mean stretch at breaking")
+        raise InputError(
+            "aging: that of annealed contacts is defined at constant velocity only"
+        )
     decay = aging.alpha(law.x_star, velocity) * mean_stretch / law.x_star
     return aging.pooled(law, decay)
 

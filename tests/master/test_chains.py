@@ -1,12 +1,15 @@
 """Chains of blocks in slow motion and in creep, against rational numbers, limits, and
 equations that are solved in another way."""
 
+import math
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
 from eqsim import (
+    Aging,
     Delay,
     Delta,
     Drive,
@@ -22,6 +25,8 @@ from eqsim.master.chain_creep import creep_velocity
 from eqsim.master.chains import static_friction
 
 COLD = Ensemble(Gamma(1.0), Thermal(0.0), stiffness_law="uniform")
+AGED_AT_ONCE = replace(COLD, aging=Aging("flow", math.inf, 100.0))
+POOLED = replace(COLD, disorder="annealed", aging=Aging("flow", 0.1, 2.0))
 
 
 def exactly(value):
@@ -118,6 +123,8 @@ def test_static_friction_falls_with_length_from_peak_to_steady_friction():
         (lambda: static_friction(COLD, 0.0), "length = 0.0"),
         (lambda: static_friction(Ensemble(thermal=Thermal(0.1)), 1.0), "thermal.kT"),
         (lambda: static_friction(Ensemble(delay=Delay(1.0)), 1.0), "thermal.kT"),
+        (lambda: static_friction(AGED_AT_ONCE, 1.0), "thermal.kT"),
+        (lambda: static_friction(POOLED, 1.0), "annealed contacts is defined at"),
         (lambda: static_friction(Ensemble(Delta(), Thermal(0.0)), 1.0), "discrete"),
         (lambda: creep_velocity(0.6, 10.0, coupled=True), "stretch = 0.6"),
     ],
