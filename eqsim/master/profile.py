@@ -18,6 +18,7 @@ from eqsim.master.newborn import law_of_births, stretched_moments
 from eqsim.master.quenched import (
     LifeMoments,
     ends,
+    integrals_beyond,
     quenched_moments,
     rarest_that_counts,
 )
@@ -103,6 +104,10 @@ class Profile:
         Relative, of what the methods return.
     jumps : bool
         Whether S has jumps, as thresholds are discrete.
+    beyond, missed_beyond : ndarray, shape (3, 3)
+        What `integral`, which ends with the last panel, lacks at infinity, for powers
+        and j from 0 to 2, and its error. 0 of contacts born stretched, of which
+        `error` holds it.
     """
 
     def __init__(self, contacts: Reduced) -> None:
@@ -154,15 +159,26 @@ class Profile:
         if fluctuating:
             errors = survival_of_fluctuating(contacts).errors
             self.error += float(errors[0].max())
+        self.beyond, self.missed_beyond = np.zeros((2, 3, 3))
+        if not self._stretched:
+            last = float(self.x[-1]), float(self.survive[-1])
+            self.beyond, self.missed_beyond = integrals_beyond(contacts, *last)
         # moments by another quadrature: what this one misses is part of the error
         exact, beyond_all = moments_of([contacts]), np.array([1e90])
-        ours = [self.integral(beyond_all, power)[power] for power in range(3)]
+        ours = [
+            self.integral(beyond_all, power)[power] + self.beyond[power, power]
+            for power in range(3)
+        ]
+        unsure = np.diag(self.missed_beyond)
         # work may vanish though its parts do not; the square is not always known
         work = np.fmax(np.abs(exact.work), 1e-3 * np.sqrt(exact.stretch * exact.square))
+        stretch_error = exact.stretch_error + unsure[0]
+        work_error = exact.work_error + unsure[1]
+        square_error = exact.square_error + unsure[2]
         misses = [
-            (np.abs(ours[0] - exact.stretch) + exact.stretch_error) / exact.stretch,
-            (np.abs(ours[1] - exact.work) + exact.work_error) / work,
-            (np.abs(ours[2] - exact.square) + exact.square_error) / exact.square,
+            (np.abs(ours[0] - exact.stretch) + stretch_error) / exact.stretch,
+            (np.abs(ours[1] - exact.work) + work_error) / work,
+            (np.abs(ours[2] - exact.square) + square_error) / exact.square,
         ]
         # at some travels it may miss more than in the mean over them
         self.error = max(self.error, _WORST * float(np.nanmax(misses)))

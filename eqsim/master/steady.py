@@ -15,7 +15,7 @@ from eqsim.laws.aging import Aging, Langevin
 from eqsim.laws.threshold import Gamma
 from eqsim.master.annealed import Ageing, annealed_moments
 from eqsim.master.profile import Profile, moments_of
-from eqsim.master.quenched import LifeMoments, integrals_beyond
+from eqsim.master.quenched import LifeMoments
 from eqsim.model.drive import Drive, Programme, require_drive
 from eqsim.model.ensemble import Ensemble
 from eqsim.model.mixture import mixed_averages
@@ -368,9 +368,7 @@ def _square_of(contacts: Reduced) -> tuple[float, float]:
         return float(closed.square[0]), float(closed.square_error[0])
     profile = Profile(contacts)
     square = float(profile.integral(np.array([math.inf]), 2)[2, 0])
-    last = float(profile.x[-1]), float(profile.survive[-1])
-    rest, missed = integrals_beyond(contacts, *last)
-    square += float(rest[2, 2])
+    square += float(profile.beyond[2, 2])
     # of the end of a life the square knows more than the work does, by which the
     # profile's error was judged: twice it
-    return square, 2.0 * profile.error * square + float(missed[2, 2])
+    return square, 2.0 * profile.error * square + float(profile.missed_beyond[2, 2])

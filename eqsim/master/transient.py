@@ -36,7 +36,6 @@ from eqsim.laws.no_thresholds import has_jumps
 from eqsim.master import programme, slider
 from eqsim.master.profile import Profile
 from eqsim.master.programme import Transient
-from eqsim.master.quenched import integrals_beyond
 from eqsim.master.steady import reference, settled
 from eqsim.model.drive import Drive, Programme, over_distance, require_drive
 from eqsim.model.ensemble import Ensemble
@@ -482,12 +481,9 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     mean, pinned = known(exact.friction) / unit, known(exact.pinned)
     cells = cells_of(s, distance / unit, points)
     profile, solved = cells.profile, []
-    beyond, missed_beyond = np.zeros((2, 3, 3))
-    if not s.newborn.active:  # else the error of the profile includes it
-        end, alive = float(profile.x[-1]), float(profile.survive[-1])
-        beyond, missed_beyond = integrals_beyond(s, end, alive)
     # int_0^inf y^power (S, k1, k2) dy, k1 and k2 being E[(k_i/k)^p; l > y], p = 1, 2
-    total = beyond + [profile.integral(_EVERYTHING, power)[:, 0] for power in range(3)]
+    panels = [profile.integral(_EVERYTHING, power)[:, 0] for power in range(3)]
+    total = profile.beyond + panels
     if not np.isfinite(total).all():
         raise InputError(
             "fluctuations: bonds too strong to be followed make the variance of forces; "
@@ -520,7 +516,7 @@ def fluctuations(ensemble: Ensemble, drive: Drive, points: int = 101) -> Fluctua
     # errors of a profile are those of mean squares, and may exceed a variance where
     # contacts hardly differ
     error += (profile.error + cells.in_step) * (np.abs(best).max() + mean**2)
-    error += missed_beyond[2, 2] / cycle
+    error += profile.missed_beyond[2, 2] / cycle
     error += 2.0 * abs(mean) * (exact.friction.stderr or 0.0) / unit
     # difference from the variance by another quadrature
     error += abs(best[0] - known(exact.force_variance) / unit**2)

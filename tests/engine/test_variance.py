@@ -45,9 +45,9 @@ from eqsim.engine import steady as module
 from eqsim.estimate import z_score
 from eqsim.io.storage import to_json
 from eqsim.laws.threshold import means_above, tail_exponent
+from eqsim.master import profile as profiles
 from eqsim.master import quenched
 from eqsim.master import steady as steadies
-from eqsim.master import transient as transients
 from eqsim.workflows.fluctuations import sampled
 
 
@@ -185,7 +185,7 @@ def test_covariance_of_a_profile_that_ends(name, stiffness, monkeypatch):
     by more than a thousandth of it; the quoted error knows, as the variance is found by
     another quadrature."""
     law, moment = LAWS[name]
-    monkeypatch.setattr(transients, "integrals_beyond", lambda *_: np.zeros((2, 3, 3)))
+    monkeypatch.setattr(profiles, "integrals_beyond", lambda *_: np.zeros((2, 3, 3)))
     found = fluctuations(
         Ensemble(law, stiffness_law=stiffness), Drive(0.1, distance=3.0), points=4
     )
