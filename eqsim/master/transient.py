@@ -64,6 +64,12 @@ _FINER = 4
 _BLURRED = 1.5
 # Share in step beyond it that they may miss.
 _MISSED_IN_STEP = 0.3
+# Wave numbers that are tried, from that of a cycle to those of the quickest lives.
+_WAVES = 50
+# Wave numbers beyond these, up to those that cells blur at once.
+_FINER_WAVES = 100
+# The largest of these over the least that cells blur at once.
+_BLURRED_RANGE = 10.0
 # Length of the circle of the Fourier transform, in transients.
 _CIRCLE = 6
 # Factor by which values are damped over one turn of the circle.
@@ -247,8 +253,13 @@ def _in_step(profile: Profile, contacts: Reduced, x: Array) -> tuple[Array, int]
     h, delay = x[1], min(contacts.delay.mean, x[-1])  # longer ones are alike
     quick, slow = middle_half(profile)
     cycle = delay + slow
-    highest, count = max(100.0 / quick, 200.0 / cycle), 400 if profile.jumps else 50
+    count = 400 if profile.jumps else _WAVES
+    highest = max(100.0 / quick, 200.0 / cycle)
     k = np.geomspace(2 * math.pi / cycle, highest, count)
+    finest = _BLURRED_RANGE * _BLURRED / h
+    if finest > highest and not profile.jumps:
+        # lives that scatter by less than the shortest wave so far are in step with it
+        k = np.append(k, np.geomspace(highest, finest, _FINER_WAVES)[1:])
     broken = -np.diff(profile.survive, prepend=1.0)
     many = broken > 1e-8
     width = np.diff(profile.x, prepend=0.0)[many]

@@ -12,7 +12,16 @@ import pytest
 from reduced_cases import contacts as contacts_of
 from scipy import integrate, special, stats
 
-from eqsim import Delay, Delta, Distribution, Drive, Ensemble, Gamma, Thermal
+from eqsim import (
+    Delay,
+    Delta,
+    Distribution,
+    Drive,
+    Ensemble,
+    Gamma,
+    Normal,
+    Thermal,
+)
 from eqsim.master.survivors import survivor_moments
 from eqsim.master.transient import fluctuations, transient
 
@@ -106,6 +115,49 @@ def test_narrow_thresholds_stay_in_step():
     assert off(ends) < 4.5
     assert np.median(exact.force_error) < 0.1
     assert off(1.002 * ends) > 10
+
+
+def two_narrow(width):
+    """40 % of the contacts just above .5, 60 % just above 1.5."""
+    edges = np.array([0.5, 0.5 + width, 1.5, 1.5 + width])
+    heights = np.array([0.4, 0.0, 0.6]) / width
+    return Distribution(stats.rv_histogram((heights, edges), density=True))
+
+
+@pytest.mark.parametrize(
+    ("law", "delay", "windows"),
+    [
+        (
+            Normal(0.003),
+            0.0,
+            [(0.0, 0.97, 1, 0.0), (1.03, 1.96, 1, 1.0), (2.04, 2.9, 1, 2.0)],
+        ),
+        (Normal(0.01), 2.0, [(0.0, 0.93, 1, 0.0), (1.07, 2.93, 0, 0.0)]),
+        (
+            two_narrow(0.002),
+            0.0,
+            [(0.0, 0.49, 1, 0.0), (0.51, 0.99, 1, 0.2004), (1.01, 1.49, 1, 0.28056)],
+        ),
+    ],
+    ids=["normal", "delayed", "two"],
+)
+def test_all_but_equal_thresholds_are_resolved(law, delay, windows):
+    """T = 0, between breaks, (from, to, share pinned, mean displacement at birth): F =
+    share X - birth (exact). Errors were the largest force, and are less than a
+    hundredth of it; the variance is known, and after one break is that of the
+    thresholds."""
+    cold = Ensemble(law, Thermal(0.0), Delay(delay), stiffness_law="uniform")
+    found = transient(cold, Drive(1.0, 3.0), 101, variance=True)
+    assert found.force_error.max() < 0.01 * found.force.max()
+    assert found.force_variance is not None
+    for low, high, share, birth in windows:
+        inside = slice(*np.searchsorted(found.X, (low, high)))
+        off = np.abs(found.force - share * found.X + birth)[inside]
+        assert np.all(off <= found.force_error[inside] + 1e-12)
+    if law == Normal(0.003):
+        once = slice(*np.searchsorted(found.X, (1.03, 1.96)))
+        off = np.abs(found.force_variance - 0.003**2)[once]
+        assert np.all(off <= found.force_variance_error[once])
 
 
 @pytest.mark.parametrize("delay", [0.37, 0.031, 3.3])
