@@ -23,6 +23,7 @@ ensemble; their stiffness is that of the survivors.
 """
 
 import functools
+import itertools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -37,7 +38,7 @@ from eqsim.laws.newborn import (
     NormalBirths,
     UniformBirths,
 )
-from eqsim.laws.threshold import rank_above
+from eqsim.laws.threshold import Gamma, diverges, rank_above
 from eqsim.master.annealed import pooled_polynomials, successful_attempts
 from eqsim.master.quenched import (
     BIRTHS,
@@ -97,6 +98,8 @@ _SPLIT = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
 _SHORTEST_PANEL = 1e-14
 # Panels of stretches at most.
 _MOST_STRETCHES = 1000
+# Longest panel in ln x at first beyond the scale of thresholds.
+_LONGEST_SWEPT = 4.0
 # Where panels of normal births end, in standard deviations, and of exponential ones, in
 # means.
 _DEVIATES = np.array([-8.3, -6.5, -5.0, -3.5, -2.5, -1.5, -0.7, 0.0, 0.7, 1.5, 2.5, 3.5,
@@ -127,6 +130,16 @@ def _density(births: BirthLaw, y: Array, middle: Array) -> Array:
     low, high = births.range
     inside = (middle > low) & (middle < high)
     return np.where(inside, births.pdf(np.clip(y, low, high)), 0.0)
+
+
+def _has_square(contacts: Reduced) -> bool:
+    """True if the mean square of the force of a life is finite, as in
+    `Ensemble.divergence`. Else no error may be measured by it."""
+    law, barrier = contacts.law, contacts.barrier
+    if barrier.thermal and barrier.lasting and not contacts.annealed:
+        return True
+    power = 5 if contacts.stiffness == "sqrt" else 3
+    return isinstance(law, Gamma) or not diverges(law, power)
 
 
 def stretched_moments(contacts: Reduced) -> Array:
@@ -312,7 +325,8 @@ def _marched(
     rate = pace * hazard.rate(near, far, size, kappa)
     rate[~np.isfinite(rate)] = 0.0
     force = kappa * x
-    sources = pace[..., None] * np.stack((np.ones_like(x), force, force**2), axis=2)
+    square = force**2 if _has_square(contacts) else np.zeros_like(x)
+    sources = pace[..., None] * np.stack((np.ones_like(x), force, square), axis=2)
     solved = _collocated(rate, sources, order)
     at, total = np.zeros((xi.size, 3)), np.zeros((xi.size, 3))
     alone = isinstance(births, DeltaBirths)
@@ -388,9 +402,10 @@ def _moments_over_thresholds(contacts: Reduced) -> tuple[Array, Array]:
     coarse = (terms @ ClenshawCurtis.weights).sum(axis=1)
     error = missed + _coarse_error(mean, coarse)
     error[:2] += beyond(contacts) * math.exp(min(origin, 460.0))
-    rest, unsure = _squares_beyond(contacts, hazard, origin, gap_of)
-    mean[2] += rest
-    error[2] += unsure
+    if _has_square(contacts):
+        rest, unsure = _squares_beyond(contacts, hazard, origin, gap_of)
+        mean[2] += rest
+        error[2] += unsure
     return mean, error
 
 
@@ -464,6 +479,7 @@ class _Sweep:
     def __init__(self, contacts: Reduced) -> None:
         self.contacts, self.births = contacts, law_of_births(contacts)
         self.steps = contacts.law.steps / contacts.law.scale
+        self.has_square = _has_square(contacts)
 
     def evaluate(self, left: Array, right: Array, _: Array) -> Array:
         """Solutions of panels, the last axis."""
@@ -492,7 +508,8 @@ class _Sweep:
                 broken = law.pdf(at) * law.scale / law.sf(at)
             broken[~np.isfinite(broken)] = 0.0
             rate += np.where(up, broken.reshape(x.shape), 0.0)
-        sources = np.stack((np.ones_like(x), mean * x, square * x**2), axis=2)
+        square = square * x**2 if self.has_square else np.zeros_like(x)
+        sources = np.stack((np.ones_like(x), mean * x, square), axis=2)
         return _collocated(half * rate, half[..., None] * sources, order)
 
     def combined(self, panels: Panels, values: Array) -> Array:
@@ -550,6 +567,11 @@ class _Sweep:
             up = np.append(law.inverse_survival(_ENDS), law.breakpoints) / law.scale
             up = up[(up > 0) & np.isfinite(up)]
             top = min(float(up.max()), law.support[1] / law.scale)
+            # errors are relative to the right end of a panel, and a life is not
+            far = np.sort(np.log(up[up > 1.0]))
+            for left, right in itertools.pairwise(far):
+                pieces = math.ceil((right - left) / _LONGEST_SWEPT)
+                up = np.append(up, np.exp(np.linspace(left, right, pieces + 1)[1:-1]))
             up = np.append(up, max(law.support[0] / law.scale, 0.0))
         sides = np.concatenate((up, -up, at, [0.0, top]))
         return np.unique(sides[(sides >= at[0]) & (sides <= top)])

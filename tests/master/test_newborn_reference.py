@@ -263,6 +263,22 @@ ANCHORS = [
 ]
 
 
+@pytest.mark.parametrize("disorder", ["quenched", "annealed"])
+@pytest.mark.parametrize("a", [3.1, 3.5])
+def test_tails_without_a_mean_square(a, disorder):
+    """Pareto's law, sqrt law, heat that breaks 1e-13 of the contacts or none: work
+    <xi^3 - y^2 xi>/(2 xi_rms) in a travel of <xi> - y (exact). The mean square of the
+    force is infinite, and errors were 1e12 times the work, or not a number."""
+    law, y = Pareto(a), 0.3
+    work = (a / (a - 3.0) - y * y * law.mean) / (2.0 * law.rms)
+    exact = work / (law.mean - y)
+    heat = Thermal(0.1, 1e-14) if disorder == "annealed" else Thermal(0.0)
+    contacts = Ensemble(law, heat, newborn=born("delta", y), disorder=disorder)
+    found = reference(contacts, Drive(1.0)).friction
+    assert abs(found.value - exact) <= found.stderr
+    assert found.stderr < 1e-5 * exact
+
+
 @pytest.mark.parametrize(("law", "disorder", "f_k", "travel"), ANCHORS)
 def test_anchors(law, disorder, f_k, travel):
     """Values printed to six decimals."""
