@@ -930,10 +930,12 @@ def test_births_right_below_a_discrete_threshold(law, newborn):
 
 def test_births_among_thresholds_of_a_broad_law():
     """Hazards over short ways at thresholds of 1e30 are numbers: 0, or below the last
-    bit of the exponent there."""
-    broad = Ensemble(Pareto(3.5), Thermal(0.1), newborn=Newborn("delta", stretch=0.3))
+    bit of the exponent there. Contacts simulated agree (|z| < 4.5 at four points, a
+    false alarm of 3e-5)."""
+    births = Newborn("delta", stretch=0.3)
+    broad = Ensemble(Pareto(3.5), Thermal(0.1), count=10_000, newborn=births)
     exact = transient(broad, Drive(0.1, 2.0), points=5)
-    level = reference(broad, Drive(0.1)).friction
-    assert np.isfinite(exact.force).all()
+    run = trajectory(broad, Drive(0.1, 2.0), points=5)
     assert np.all(exact.force_error < 1e-4)
-    assert level.value == pytest.approx(exact.force[-1], rel=0.2, abs=0)
+    off = np.abs(run.force - exact.force)[1:]
+    assert np.all(off < 4.5 * np.hypot(run.force_stderr, exact.force_error)[1:])
