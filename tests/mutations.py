@@ -1233,6 +1233,11 @@ MISTAKES = [
     # replay, workers, errors
     M("replay: identities of now", "workflows/replay.py", ', table["id"].tolist())', ")",
       "test_replay.py::test_a_sweep_of_an_older_version"),
+    M("replay: populations keep what they inherited", "io/runfile.py",
+      'settings["population"] = self.given["population"]', "pass",
+      "test_sweep.py::test_provenance_holds_every_point"),
+    M("replay: as many loads as at first", "io/runfile.py", '{"load": elastic["load"]}', "{}",
+      "test_sweep.py::test_provenance_holds_every_point"),
     M("run: a steady value of another seed", "workflows/run.py", "rough, seed=output.seed", "rough, seed=1",
       "test_cli.py::test_run_json_and_replicas"),
     M("replay: longer tables are the same", "workflows/replay.py", "(table) != len(again)", "(table) < len(again)",

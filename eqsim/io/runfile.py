@@ -316,6 +316,17 @@ class RunFile(Listed):
         found = {one.name: one.as_dict(friction, reference) for one in self.quantities}
         return {"physical": found} if found else {}
 
+    def sweep_settings(self) -> dict[str, Any]:
+        """Settings of which `stored` makes every point of a sweep again. Populations
+        and loads are as given: what the ones inherit, and how many the others are,
+        follows from keys that may differ from point to point."""
+        settings, elastic = dict(self.settings), self.given.get("elastic", {})
+        if "population" in self.given:
+            settings["population"] = self.given["population"]
+        if "load" in elastic:
+            settings["elastic"] = settings["elastic"] | {"load": elastic["load"]}
+        return settings
+
     def headline(self, name: str) -> str:
         """The title of a table, or `name` without one, and what is simulated."""
         return f"{self.title or name}: {described(self.ensemble, self.units)}"

@@ -140,7 +140,7 @@ class Store:
             (out / SWEEP_PARTS).mkdir(exist_ok=True)
             for path in (*out.glob(".eqsim-*"), *out.glob("*parts/.eqsim-*")):
                 shutil.rmtree(path) if path.is_dir() else path.unlink()  # unfinished
-            settings = {"sweep": file.settings, **asked.settings()}
+            settings = {"sweep": file.sweep_settings(), **asked.settings()}
             where = file.text, file.output.seed, file.folder
             origin = storage.provenance("sweep", settings, *where)
             origin |= {"schema": SCHEMA, "results_version": RESULTS_VERSION}

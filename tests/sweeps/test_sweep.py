@@ -37,7 +37,7 @@ from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError
 from eqsim.io.parameters import naming
-from eqsim.io.runfile import check, load
+from eqsim.io.runfile import check, load, stored
 from eqsim.io.storage import publish, versions
 from eqsim.laws.delay import Delay
 from eqsim.master.steady import reference
@@ -124,6 +124,44 @@ def test_rows_are_what_steady_and_reference_say(small):
     assert origin["schema"] == SCHEMA
     assert origin["results_version"] == RESULTS_VERSION
     assert origin["versions"] == versions()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        """
+[thermal]
+kT = 0.1
+[drive]
+velocity = 0.1
+[[population]]
+share = 0.5
+[[population]]
+share = 0.5
+stiffness = 2.0
+[sweep]
+"thermal.kT" = [0.05, 0.5]
+""",
+        """
+contacts = { count = 80, stiffness_law = "uniform" }
+drive = { velocity = 0.1 }
+elastic = { blocks = 4, coupling = 1, drive_stiffness = 1, load = { first = 1, last = 3 } }
+sweep = { "elastic.blocks" = [4, 8] }
+""",
+    ],
+    ids=["populations", "loads"],
+)
+def test_provenance_holds_every_point(text, tmp_path):
+    """Populations inherit keys that change from point to point, and there are as many
+    loads as blocks."""
+    plan = plan_of(text)
+    store = Store(tmp_path / "o", plan, Asked())
+    store.close()
+    origin = json.loads(store.schema.metadata[b"eqsim"])
+    again = Plan(stored(origin["settings"]["sweep"], origin["folder"]))
+    assert again.ids == plan.ids
+    for index in range(plan.size):
+        assert again.task(index) == plan.task(index)
 
 
 def test_workers_and_threads_do_not_change_a_bit(small):
