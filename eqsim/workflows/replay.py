@@ -76,7 +76,9 @@ def replay(
     path : Path or str
         A file that eqsim wrote. Files that its run file names must be where they were.
     workers : int
-        Threads or processes.
+        Threads, or processes that repeat a sweep; 1 computes in this process. A script
+        that asks for more calls this below `if __name__ == "__main__":`, as processes
+        begin by importing it.
     progress : callable, optional
         Called as `progress(done, total)`.
     others : mapping, optional
@@ -89,7 +91,8 @@ def replay(
     Raises
     ------
     InputError
-        If eqsim did not write the file, or the call that did cannot be repeated.
+        If eqsim did not write the file, or the call that did cannot be repeated, as
+        where a point of a sweep fails that did not.
 
     Examples
     --------
@@ -214,7 +217,13 @@ def _sweep(origin: Origin, table: Table, workers: int, progress: Progress) -> Ta
     asked = Asked(**{name: settings[name] for name in names if name in settings})
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "again"
-        sweep(plan, out, asked=asked, workers=Workers(workers), progress=progress)
+        count = workers if workers > 1 else 0  # one worker is this process
+        done = sweep(plan, out, asked=asked, workers=Workers(count), progress=progress)
+        failed = {*table["id"][table["status"] == "failed"]}
+        for failure in done.failures:
+            if failure["id"] not in failed:
+                said = f"point {failure['point']} fails when it is repeated"
+                raise InputError(f"{said}: {failure['message']}")
         found = storage.read_parquet((out / storage.SWEEP_TABLE).read_bytes())
         again = found.to_pandas(use_threads=False)
     old = {name: other for name, other in RENAMED_COLUMNS.items() if name in table}

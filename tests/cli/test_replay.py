@@ -13,7 +13,8 @@ import pytest
 from cases import chosen
 from command_line import call
 
-from eqsim.workflows.replay import compare
+from eqsim.errors import InputError
+from eqsim.workflows.replay import compare, replay
 
 RUN = """
 disorder = "annealed"
@@ -149,6 +150,20 @@ def test_a_sweep_of_an_older_version(made, tmp_path, monkeypatch):
         assert ("its provenance is damaged (ValueError" in done.stderr) == (
             len(ids) == 2
         )
+
+
+def test_one_worker_is_this_process(made, monkeypatch):
+    """A script without `if __name__ == "__main__":` cannot start another one. A point
+    that fails only when it is repeated is no difference of results."""
+    monkeypatch.setattr("eqsim.sweeps.workers.Processes", None)
+    assert replay(made["sweep"]).same
+
+    def fails(*_, **__):
+        raise InputError("no memory")
+
+    monkeypatch.setattr("eqsim.sweeps.rows.steady", fails)
+    with pytest.raises(InputError, match="point 1 fails when it is repeated: no mem"):
+        replay(made["sweep"])
 
 
 def test_compare():
