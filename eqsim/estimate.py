@@ -136,7 +136,7 @@ class Averages(Result):
                 continue
             mark, value, error = f"{ours}", ours.value, 2.0 * (ours.stderr or 0.0)
             if exact is not None:
-                value, error = difference(ours, exact), 0.0
+                value, error = score(ours, exact), 0.0
                 if value is None:
                     continue
                 mark += f"\nreference {exact.value:.8g}"
@@ -232,7 +232,24 @@ def z_score(
     """
     if math.isinf(reference):
         return None
-    z = difference(estimate, Estimate(reference, reference_error, 0))
-    if z is None or estimate.dof is None:
+    return score(estimate, Estimate(reference, reference_error, 0))
+
+
+def score(first: Estimate, second: Estimate) -> float | None:
+    """Find the `z_score` of the difference of two estimates, either of which may have
+    an error from few batches; None if both errors are 0, or one is unknown."""
+    z, dof = difference(first, second), _joint_dof(first, second)
+    if z is None or dof is None:
         return z
-    return math.copysign(float(-special.ndtri(special.stdtr(estimate.dof, -abs(z)))), z)
+    return math.copysign(float(-special.ndtri(special.stdtr(dof, -abs(z)))), z)
+
+
+def _joint_dof(first: Estimate, second: Estimate) -> float | None:
+    """Degrees of freedom of the error of a difference: those of the one error that has
+    some, or by Welch and Satterthwaite of both."""
+    if first.dof is None or second.dof is None:
+        return second.dof if first.dof is None else first.dof
+    a, b = first.stderr or 0.0, second.stderr or 0.0
+    if not (sigma := math.hypot(a, b)):
+        return None
+    return 1.0 / ((a / sigma) ** 4 / first.dof + (b / sigma) ** 4 / second.dof)

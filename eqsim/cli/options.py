@@ -125,7 +125,10 @@ class Shown:
 
 
 # Sentences below the help of commands, about words of their tables, columns and JSON.
-Z = "z: difference from the expected value in standard errors, both errors in quadrature."
+Z = (
+    "z: difference from the expected value in standard errors, both errors in quadrature; "
+    "where they come from few batches, the normal score of its Student probability."
+)
 STDERR = "stderr: statistical standard error of a simulated value."
 ERROR = "error: bound of the error of a numerical solution."
 

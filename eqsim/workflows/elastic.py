@@ -10,7 +10,7 @@ import numpy as np
 from eqsim.engine.elastic import check_elastic, simulate_blocks
 from eqsim.engine.records import ElasticTrajectory
 from eqsim.engine.trajectory import guarded
-from eqsim.estimate import Estimate, difference
+from eqsim.estimate import Estimate, score
 from eqsim.io.runfile import RunFile
 from eqsim.io.states import kept
 from eqsim.lazy import lazily
@@ -105,7 +105,7 @@ class ElasticResult(SimulatedFile):
             "force_reliable": run.force_reliable,
             "reference": {name: exact.value for name, (_, exact) in averages.items()},
             **self.file.physical(friction, exact.value),
-            "z": {name: difference(*pair) for name, pair in averages.items()},
+            "z": {name: score(*pair) for name, pair in averages.items()},
             "avalanches": len(run.avalanches["breaks"]),
             "starts": {
                 "mean": float(self.starts.mean()),

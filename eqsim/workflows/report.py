@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, cast
 
 from eqsim.errors import InputError
-from eqsim.estimate import Estimate, difference
+from eqsim.estimate import Estimate, score
 from eqsim.io import labels, storage, terminal
 from eqsim.io.runfile import RunFile
 from eqsim.lazy import lazily
@@ -221,9 +221,9 @@ def if_any(solve: Callable[[], Exact]) -> Solved[Exact]:
 
 
 def difference_of(found: Estimate, expected: Estimate | None) -> str:
-    """The difference of an estimate from its expected value as text; "none" if a value
+    """The `score` of an estimate beside its expected value as text; "none" if a value
     or an error of these is not known."""
     if expected is None:
         return "none"
     numbers = found.value, found.stderr, expected.value, expected.stderr
-    return "none" if None in numbers else terminal.score(difference(found, expected))
+    return "none" if None in numbers else terminal.score(score(found, expected))

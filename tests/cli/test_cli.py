@@ -137,9 +137,15 @@ def test_what_was_not_seen_is_not_exact(run_file, tmp_path):
         (Estimate(1.0, None, 1), Estimate(1.0, 0.1, 0), "none"),
         (Estimate(1.0, 0.1, 9), Estimate(None, None, 0), "none"),
         (Estimate(1.0, 0.1, 9), None, "none"),
+        # errors from 2, from 4, and from 3 and 5 batches
+        (Estimate(10.0, 1.0, 9, 1), Estimate(0.0, 0.0, 0), "+1.86"),
+        (Estimate(0.0, 0.0, 9), Estimate(2.0, 0.5, 0, 3), "-2.20"),
+        (Estimate(0.0, 3.0, 9, 2), Estimate(10.0, 4.0, 9, 4), "-1.68"),
     ],
 )
 def test_differences_from_what_is_expected(estimate, expected, said):
+    """Scores of Student's law where errors are of few batches, by Welch and
+    Satterthwaite of both."""
     assert difference_of(estimate, expected) == said
 
 

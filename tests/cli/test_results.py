@@ -38,7 +38,7 @@ from eqsim import (
     trajectory,
     transient,
 )
-from eqsim.estimate import Averages, difference
+from eqsim.estimate import Averages, score
 
 matplotlib.use("Agg")
 WARM = Ensemble(thermal=Thermal(0.1), count=500)
@@ -304,7 +304,7 @@ def test_pictures_of_averages(results):
     for value, name in zip(
         z, ("friction", "break_stretch", "force_variance"), strict=True
     ):
-        assert value == difference(getattr(found, name), getattr(exact, name))
+        assert value == score(getattr(found, name), getattr(exact, name))
     assert axes.get_xlim()[1] >= 1.1 * np.abs(z).max()
     exact.plot(found.plot(), label="exact")
     pyplot.close("all")

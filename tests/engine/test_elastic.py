@@ -597,9 +597,8 @@ def test_run_and_replay(path, tmp_path, blocks):
     ):  # fmt: skip
         assert summary[name] == value.as_dict()
         reference = summary["reference"][name]
-        error = math.hypot(value.stderr, missed)
         assert summary["z"][name] == pytest.approx(
-            (value.value - reference) / error, rel=1e-6, abs=0
+            z_score(value, reference, missed), rel=1e-6, abs=0
         )
     assert summary["reference"]["size"] == 3.0
     assert summary["avalanches"] == found.avalanches["breaks"].size
