@@ -336,7 +336,6 @@ def scales(ensemble: Ensemble, units: Units, interface: Interface) -> list[Group
     none if neither units nor anything of the interface is given."""
     if not units and not interface:
         return []
-    unit = ensemble.thresholds.scale
     contacts = interface.contacts(ensemble.count)
     density = interface.density(ensemble.count)
 
@@ -360,7 +359,9 @@ def scales(ensemble: Ensemble, units: Units, interface: Interface) -> list[Group
         area, where = contacts / density, "of the interface"
         found.append(group("area", "length^2", area, f"{where}, apparent"))
         found.append(group("contacts per area", "1/length^2", density, where))
-    for one in quantities(ensemble, units, interface):
+    # populations have no x_* in common
+    unit, known = ensemble.thresholds.scale, quantities(ensemble, units, interface)
+    for one in () if ensemble.populations else known:
         one = one.near(unit)
         name, size = one.label + f" ({one.unit})" * bool(one.unit), one.factor * unit
         found.append(Group(name, size, "if friction F/(N k) were x_*"))

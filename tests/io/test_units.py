@@ -16,7 +16,7 @@ from eqsim.fitting.report import to_toml
 from eqsim.io.parameters import parameters
 from eqsim.io.runfile import at, stored
 from eqsim.io.surface import doubts, machine_stiffness
-from eqsim.io.units import Interface, Units, quantities
+from eqsim.io.units import Interface, Units, quantities, scales
 
 RUNS = Path(__file__).parents[2] / "runs"
 RUN = """
@@ -389,3 +389,35 @@ def test_what_is_assumed_of_a_surface_is_said(run_file):
     plain = RUN_[RUN_.index("[contacts]") :].replace("temperature = 300.0", "kT = 0.1")
     run_file.write_text(plain)
     assert not list(doubts(load(run_file)))
+
+
+def test_a_surface_of_several_kinds_of_contacts(tmp_path):
+    """Heat counts for each kind, friction is that of all; the law at the top of the file
+    is of no contact, and there is no x_* in common."""
+    (tmp_path / "two.toml").write_text(
+        """
+units = { length = "m", time = "s", force = "N" }
+interface = { normal_load = 0.1 }
+contacts = { count = 1000 }
+thermal = { temperature = 300.0 }
+[[population]]
+share = 0.5
+stiffness = 1e5
+thresholds = { x_star = 1e-8 }
+[[population]]
+share = 0.5
+stiffness = 2e5
+thresholds = { x_star = 2e-8 }
+thermal = { temperature = 1.0 }
+[drive]
+velocity = 1e-6
+"""
+    )
+    file = load(tmp_path / "two.toml")
+    heat, mu = doubts(file)
+    assert heat.startswith("population.1: b = 2.9e+12: heat does next to nothing")
+    # half of 1.329 x_* in the mean over forces, 1/3 of 1e-8 m and 2/3 of 2e-8 m, times N k/load
+    assert mu.startswith("friction coefficients are about 16.6: are stiffness")
+    rows = [row.name for row in scales(file.ensemble, file.units, file.interface)]
+    assert {"0: x_* (m)", "1: x_* (m)"} < {*rows}
+    assert "friction coefficient" not in rows
