@@ -4,6 +4,7 @@ and of simulated contacts."""
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,8 @@ with lazily():
 
 
 _LAG_ROWS = 8  # lags that a table shows
+# Spacings of lags between which the correlation length is integrated: a cycle has 320.
+_CORRELATION_CELLS = 1600
 _LAG_CYCLES = 5.0  # mean cycles of pinned and detached to which lags extend by default
 # Contacts of a simulated ensemble: fewer leave more ensembles for as many lives.
 _TOGETHER = 20
@@ -88,11 +91,21 @@ class FluctuationsResult(FileResult):
         exact = self.exact.covariance.tolist(), self.exact.error.tolist()
         return list(map(z_score, self.estimates(), *exact))
 
-    @property
-    def correlation_length(self) -> float:
-        """Integral of the covariance over the lags, over the variance (length)."""
-        exact = self.exact
-        return float(np.trapezoid(exact.covariance, exact.lag) / exact.covariance[0])
+    @cached_property
+    def correlation(self) -> Estimate:
+        """Integral of the covariance up to the largest lag, over the variance (length),
+        by trapezia between lags of its own, however few are shown. It is extrapolated
+        as of second order; its error is the change for twice the spacing, and what the
+        errors of the covariance make."""
+        far = replace(self.file.constant_drive, distance=self.asked["lag"])
+        exact = fluctuations(self.ensemble, far, _CORRELATION_CELLS + 1)
+        lag, covariance, error = exact.lag, exact.covariance, exact.error
+        fine = float(np.trapezoid(covariance, lag))
+        change = fine - float(np.trapezoid(covariance[::2], lag[::2]))
+        variance = float(covariance[0])
+        length = (fine + change / 3.0) / variance
+        missed = float(np.trapezoid(error, lag)) + abs(length) * float(error[0])
+        return Estimate(length, (abs(change) + missed) / variance, lag.size)
 
     def columns(self) -> dict[str, Array]:
         """The table: `lag`, `covariance`, `error`, and if contacts were simulated
@@ -114,13 +127,15 @@ class FluctuationsResult(FileResult):
         exact, sample = self.exact, self.sample
         variance, error = float(exact.covariance[0]), float(exact.error[0])
         counts = ("ensembles", "contacts", "lives")
-        names = ("force_std", "correlation_length")
+        length = self.correlation
         return {
             **{
                 "title": self.file.title,
                 "variance": {"value": variance, "error": error},
             },
-            **{name: getattr(self, name) for name in names},
+            "force_std": self.force_std,
+            "correlation_length": length.value,
+            "correlation_length_error": length.stderr,
             **self.columns(),
             **{"z": self.z, "reliable": sample and sample.reliable},
             **{name: getattr(sample, name, 0) for name in counts},
@@ -148,7 +163,7 @@ class FluctuationsResult(FileResult):
         sample = self.sample
         yield "N times the autocovariance of F/(N k) over a lag in displacement; at lag 0 the variance"
         yield f"standard deviation of F/(N k) with {contacts}: {self.force_std:.6g}"
-        yield f"correlation length, the integral over these lags over the variance: {self.correlation_length:.6g}"
+        yield f"correlation length, the integral over these lags over the variance: {self.correlation}"
         if sample is None:
             yield f"nothing simulated: {self.reason}"
             return

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import scipy.stats
 from command_line import call
+from scipy.integrate import simpson
 
 from eqsim import (
     Aging,
@@ -22,6 +23,7 @@ from eqsim import (
     Segment,
     Thermal,
     breaks,
+    fluctuations,
     trajectory,
 )
 from eqsim.engine.breaks import MOST_BREAKS
@@ -291,6 +293,23 @@ def test_fluctuations_of_simulated_contacts(tmp_path, text):
     assert np.abs(off).max() > 4.5
 
 
+def test_the_correlation_length_does_not_depend_on_points(tmp_path):
+    """Force against displacement of equal cold contacts is a sawtooth, whose covariance
+    has an integral of 0 over whole periods; that of warm contacts is the integral of many
+    lags, by the rule of Simpson."""
+    cold = {"thresholds": {"law": "delta"}, "drive": {"velocity": 0.1}}
+    warm = {"thermal": {"kT": 0.1}, "drive": {"velocity": 0.1}}
+    many = fluctuations(Ensemble(thermal=Thermal(0.1)), Drive(0.1, 6.0), points=6001)
+    exact = simpson(many.covariance, x=many.lag) / many.covariance[0]
+    for text, expected, lag in ((cold, 0.0, 3.0), (warm, exact, 6.0)):
+        file = check(text, tmp_path)
+        for points in (2, 7):
+            asked = {"points": points, "lives": 0.0, "lag": lag}
+            found = run_fluctuations(file, **asked).correlation
+            assert found.value == pytest.approx(expected, rel=0, abs=found.stderr)
+            assert found.stderr < 2e-3
+
+
 def test_fluctuations_command(tmp_path):
     (tmp_path / "run.toml").write_text(RUN + "[thermal]\nkT = 0.1\n")
     done = call(
@@ -304,7 +323,7 @@ def test_fluctuations_command(tmp_path):
         "21",
     )
     assert done.exit_code == 0, done.output
-    assert "correlation length" in done.output
+    assert "over the variance: 0.431597" in done.output
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "fluctuations.parquet", "summary.json", "fluctuations.png",
     }  # fmt: skip
