@@ -1486,6 +1486,8 @@ MISTAKES = [
     M("fluctuations: a correlation length of the lags that are shown", "workflows/fluctuations.py",
       "exact = fluctuations(self.ensemble, far, _CORRELATION_CELLS + 1)", "exact = self.exact",
       "test_outputs.py::test_the_correlation_length_does_not_depend_on_points"),
+    M("csv: commas between thousands are decimal", "io/csv.py", "sheet = replace(sheet, guessed=not decimal)", "pass",
+      "test_csv.py::test_commas_that_may_stand_between_thousands"),
     M("surface: thresholds of the law that no population has", "io/surface.py",
       "mean = sum(x.weight * x.contacts.thresholds.mean for x in ensemble.kinds)",
       "mean = ensemble.thresholds.mean", "test_units.py::test_a_surface_of_several_kinds_of_contacts"),

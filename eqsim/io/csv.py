@@ -37,6 +37,8 @@ GAP = re.compile(rf"(?:nan|na|n/a|null|none|{_EXCEL_ERROR})?", re.IGNORECASE)
 _COMMENT = re.compile(rf"(?!{_EXCEL_ERROR})[#%]|sep=.$", re.IGNORECASE)
 # Bytes that no text in Latin-1 has.
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+# A number as it stands with commas between thousands, which may be decimal.
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 # A cell of a row of units, such as "um/s" or "[1/mm^2]".
 _UNIT = re.compile(
     r"[\[(]?(?:(?:[munkMGhcdµμ]?(?:m|g|s|N|Pa|K|V|A|J|W|Hz)|min|h|°?C|bar|psi|deg|rad|"
@@ -61,6 +63,7 @@ class Sheet:
     separator: str = ","  # of cells; " " for any number of blanks
     decimal: str = "."
     units: bool = False  # the `first` line holds units
+    guessed: bool = False  # the decimal sign was not given
 
     @property
     def sha256(self) -> str:
@@ -109,8 +112,10 @@ class Sheet:
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
         """Number of the line and a cell for each column, of every row; numbers have
-        decimal points. Raises InputError for a line that is none."""
+        decimal points. Raises InputError for a line that is none, and at the end where
+        decimal commas may be those between thousands."""
         width, commas = len(self.columns), self.decimal == ","
+        watched = _Commas() if commas and self.guessed else None
         for number, line in _lines(self.content, self.encoding):
             if number <= self.first:
                 continue
@@ -125,7 +130,40 @@ class Sheet:
                 where = f"{self.field}, line {number}"
                 raise InputError(f"{where}: {error}") from None
             cells = cells[:width]
+            if watched:
+                watched.look(number, cells)
             yield number, list(map(_pointed, cells)) if commas else cells
+        if watched:
+            watched.check(self)
+
+
+class _Commas:
+    """The commas of a file's numbers, which are decimal if one of them cannot stand
+    between thousands, or if all numbers of a column have some."""
+
+    def __init__(self) -> None:
+        self.decimal = False
+        self.plain: set[int] = set()  # columns with numbers that have no comma
+        # the first line and cell of those with commas that may be between thousands
+        self.doubtful: dict[int, tuple[int, str]] = {}
+
+    def look(self, line: int, cells: list[str]) -> None:
+        """Take the cells of a row into account."""
+        for column, cell in enumerate(() if self.decimal else cells):
+            if _THOUSANDS.fullmatch(cell):
+                self.doubtful.setdefault(column, (line, cell))
+            elif math.isfinite(value_of(_pointed(cell))):
+                self.decimal |= "," in cell
+                self.plain.add(column)
+
+    def check(self, sheet: Sheet) -> None:
+        """Raise InputError if commas may be those between thousands."""
+        doubtful = [] if self.decimal else sorted(self.plain & self.doubtful.keys())
+        for column in doubtful:
+            line, cell = self.doubtful[column]
+            where = f"{sheet.field}, line {line}: {sheet.columns[column]} = {cell!r}"
+            either = f"{cell.replace(',', '')} or {cell.replace(',', '.')}"
+            raise InputError(f"{where}: must be {either}; other cells have no comma")
 
 
 def read(path: Path, field: str, decimal: str | None = None) -> Sheet:
@@ -154,6 +192,7 @@ def read(path: Path, field: str, decimal: str | None = None) -> Sheet:
     except InputError as error:
         raise InputError(f"{field}, line {first}: {error}") from None
     sheet = Sheet(field, columns, first, content, encoding, separator, sign)
+    sheet = replace(sheet, guessed=not decimal)
     if len(columns) > 1 and sheet.headless:  # as numpy.savetxt writes
         with io.TextIOWrapper(io.BytesIO(content), encoding) as text:
             above = [line for line in itertools.islice(text, first - 1) if line.strip()]

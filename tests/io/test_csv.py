@@ -2,6 +2,7 @@
 is written is read again."""
 
 import math
+import re
 import string
 
 import numpy as np
@@ -98,6 +99,27 @@ FORMS = {
 def test_every_row_is_read(tmp_path, form, reader):
     (tmp_path / "x.csv").write_bytes(FORMS[form])
     assert reader(tmp_path / "x.csv") == ROWS
+
+
+@pytest.mark.parametrize("form", ['1,"{}"\n', "1;{}\n"])
+def test_commas_that_may_stand_between_thousands(tmp_path, form):
+    """Refused where some numbers have one and others none, unless another comma shows
+    that all are decimal."""
+    path = tmp_path / "x.csv"
+
+    def written(*cells):
+        head = f"sample{form[1]}threshold\n"
+        path.write_text(head + "".join(form.format(cell) for cell in cells))
+        return read_thresholds(path).steps.tolist()
+
+    said = (
+        "x.csv, line 3: threshold = '1,050': must be 1050 or 1.050; other cells have no"
+    )
+    with pytest.raises(InputError, match=re.escape(said)):
+        written("950", "1,050", "2,310")
+    assert written("1,25", "1,050", "2") == [1.05, 1.25, 2.0]
+    assert written("0,125", "1,050", "2") == [0.125, 1.05, 2.0]
+    assert written("1,050", "2,310") == [1.05, 2.31]
 
 
 def test_comments_with_quotes_in_tables_of_thresholds_and_measurements(tmp_path):
