@@ -78,6 +78,7 @@ def sweep(
     try:
         points = plan.Plan(file)
         first = points.at(0)
+        asked.require_effect(first.drive)
         shown.doubt(first, first.drive)
         with shown.bar("sweeping", "points") as progress:
             found = scheduler.sweep(

@@ -21,6 +21,7 @@ from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError, require_number
 from eqsim.estimate import Averages, Estimate, mean_of, z_score
 from eqsim.master.avalanche_sizes import averages_of_blocks
+from eqsim.master.lifetimes import lifetime
 from eqsim.master.steady import reference
 from eqsim.master.transient import transient
 from eqsim.model.drive import Drive, Programme
@@ -61,6 +62,20 @@ class Asked:
         every = asdict(self).items()
         return {name: x for name, x in every if name != "exact" or not x}
 
+    def require_effect(self, drive: Drive | Programme) -> None:
+        """Raise InputError for what changes nothing with such a drive, each point of
+        which is one run."""
+        kind = "blocks" if drive.elastic else "a programme or a pulled slider"
+        if isinstance(drive, Drive) and not drive.elastic:
+            return
+        for name, usual in (("rel_error", Asked.rel_error), ("transient", False)):
+            if (value := getattr(self, name)) != usual:
+                option = f"--{name.replace('_', '-')}" + f" = {value}" * (
+                    value is not True
+                )
+                said = f"has no effect on {kind}: a point is the average of its run"
+                raise InputError(f"{option}: {said}")
+
     def __post_init__(self) -> None:
         require_number("--rel-error", self.rel_error, above=0)
         require_number("--max-lives", self.max_lives, above=0)
@@ -84,7 +99,7 @@ def _point_row(task: Task, asked: Asked, threads: int) -> RowCells:
     sampled = options | {"points": task.points, "replicas": task.replicas}
     try:
         if (drive := task.drive).elastic:
-            row = _elastic(task, drive, sampled)
+            row = _elastic(task, drive, sampled, asked.exact)
         elif isinstance(drive, Programme):
             row = _programme(task, drive, sampled, asked.exact)
         elif asked.transient:
@@ -118,14 +133,17 @@ def _steady_cells(
     return row
 
 
-def _elastic(task: Task, drive: Drive | Programme, options: RowCells) -> RowCells:
+def _elastic(
+    task: Task, drive: Drive | Programme, options: RowCells, compares: bool
+) -> RowCells:
     ensemble, blocks = task.ensemble, drive.elastic
     assert blocks
     run = elastic_trajectory(ensemble, drive, **options)
     reliable = run.friction.reliable and run.size.reliable
     row = _status(run.lives, [] if reliable else [_TOO_SHORT])
     exact = dict[str, Estimate]()
-    if isinstance(drive, Drive) and not blocks.follows_events(ensemble.thermal.active):
+    in_time = isinstance(drive, Programme)
+    if compares and not (in_time or blocks.follows_events(ensemble.thermal.active)):
         rigid = reference(ensemble, replace(drive, elastic=None))
         exact = averages_of_blocks(ensemble.thresholds, blocks, ensemble.count)
         row["reference_method"], exact["friction"] = rigid.method, rigid.friction
@@ -144,6 +162,8 @@ def _programme(
     if isinstance(run, SliderTrajectory):
         if programme.motor and run.force_replicas is not None:
             return _status(run.lives, []) | _late_force(run)
+        if programme.forced:
+            return _failure_columns(task, programme, run, compares)
         slips = _slip_columns(run)
         if programme.stage is None or len(programme.segments) == 1:
             return slips
@@ -197,6 +217,37 @@ def _slip_columns(run: SliderTrajectory) -> RowCells:
     few = not period.reliable and not period.n == drop.n == 0
     row = _status(run.lives, ["few slips"] if few else []) | {"slips": len(run.slips)}
     return row | _filled("period", period) | _filled("drop", drop)
+
+
+def failures_of(run: SliderTrajectory, drive: Programme) -> dict[str, Estimate]:
+    """Mean lifetime of bundles that all let go under a force, and the mean force at that
+    time if it changes; else empty."""
+    lives = run.lifetimes
+    if not (drive.forced and np.all(np.isfinite(lives))):
+        return {}
+    found = {"lifetime": lives}
+    if any(segment.force_rate for segment in drive.segments):
+        found["strength"] = np.interp(lives, run.t, run.spring)
+    if lives.size == 1:
+        return {k: Estimate(float(x[0]), None, 1) for k, x in found.items()}
+    return {k: mean_of(x, x.size, x.size - 1) for k, x in found.items()}
+
+
+def _failure_columns(
+    task: Task, drive: Programme, run: SliderTrajectory, compares: bool
+) -> RowCells:
+    """Columns of `failures_of` a run, and the exact lifetime of identical contacts."""
+    found = failures_of(run, drive)
+    row = _status(run.lives, [] if found else ["some bundles have not let go"])
+    exact: dict[str, Estimate] = {}
+    try:
+        if compares and found:
+            exact["lifetime"] = lifetime(task.ensemble, drive, points=2).mean
+    except InputError as error:
+        row |= _no_reference(row, error)
+    for name, ours in found.items():
+        row |= _filled(name, ours, exact.get(name))
+    return row
 
 
 def _averages_row(averages: Averages, lives: int, problems: list[str]) -> RowCells:

@@ -25,6 +25,7 @@ from eqsim.engine.records import OF_SEGMENT, OF_STEP
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES
 from eqsim.io import storage
+from eqsim.io.course import PULLS
 from eqsim.io.parameters import keys, naming, parameters
 from eqsim.io.runfile import RunFile, contents_of
 from eqsim.io.storage import SWEEP_HIDDEN, SWEEP_MANIFEST, SWEEP_PARTS, SWEEP_TABLE
@@ -72,7 +73,10 @@ def schema(file: RunFile, changed: Collection[str] = ()) -> Any:
         fields |= columns(one.column, "reference")
     for name in ("size", "single") if file["elastic"] else ():
         fields |= columns(name, "reference", "z")
-    if file.pulled:
+    if _forced(file):
+        for name in ("lifetime", "strength"):
+            fields |= columns(name, "dof", *exact)
+    elif file.pulled:
         fields |= {"slips": integer, **columns("period"), **columns("drop")}
     for name, is_force in _of_segments(file).items():
         sure = ("reliable",) * name.endswith(("_healing", "_drop"))
@@ -82,6 +86,12 @@ def schema(file: RunFile, changed: Collection[str] = ()) -> Any:
     fields |= {"reference_method": text, "lives": integer, "seed": integer}
     fields |= {"seconds": number, "eqsim_version": text}
     return pa.schema(list(fields.items()))
+
+
+def _forced(file: RunFile) -> bool:
+    """True if a force pulls the slider."""
+    segments = (file["drive"], *(file["drive.programme"] or []))
+    return any(segment[name] is not None for segment in segments for name in PULLS)
 
 
 def _of_segments(file: RunFile) -> dict[str, bool]:

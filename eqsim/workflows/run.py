@@ -22,7 +22,7 @@ from eqsim.engine.records import (
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
-from eqsim.estimate import Estimate, known, mean_of
+from eqsim.estimate import Estimate, known
 from eqsim.io.runfile import RunFile, opened
 from eqsim.io.units import Row
 from eqsim.lazy import lazily
@@ -35,6 +35,7 @@ from eqsim.master.steady import reference
 from eqsim.model.drive import Drive, Programme
 from eqsim.model.healing import Healing, healing_law
 from eqsim.numerics.tables import Array
+from eqsim.sweeps.rows import failures_of
 from eqsim.sweeps.workers import Workers
 from eqsim.workflows.averages import unit_column
 from eqsim.workflows.elastic import ElasticResult, run_elastic
@@ -342,16 +343,7 @@ class SliderResult(ProgrammeResult):
     def failures(self) -> dict[str, Estimate]:
         """Mean lifetime of bundles that all let go under a force, and the mean force at
         that time if it changes; else empty."""
-        run, drive = self.trajectory, self.drive
-        lives = run.lifetimes
-        if not (drive.forced and np.all(np.isfinite(lives))):
-            return {}
-        found = {"lifetime": lives}
-        if any(segment.force_rate for segment in drive.segments):
-            found["strength"] = np.interp(lives, run.t, run.spring)
-        if lives.size == 1:
-            return {k: Estimate(float(x[0]), None, 1) for k, x in found.items()}
-        return {k: mean_of(x, x.size, x.size - 1) for k, x in found.items()}
+        return failures_of(self.trajectory, self.drive)
 
     def summary(self) -> dict[str, Any]:
         run = self.trajectory

@@ -36,10 +36,12 @@ from eqsim.cli.app import app
 from eqsim.engine.steady import steady
 from eqsim.engine.trajectory import trajectory
 from eqsim.errors import InputError
+from eqsim.estimate import Estimate
 from eqsim.io.parameters import naming
 from eqsim.io.runfile import check, load, stored
 from eqsim.io.storage import publish, versions
 from eqsim.laws.delay import Delay
+from eqsim.master.lifetimes import lifetime
 from eqsim.master.steady import reference
 from eqsim.model.drive import Drive, Programme, Segment, Stage
 from eqsim.model.ensemble import Ensemble
@@ -51,6 +53,7 @@ from eqsim.sweeps.rows import Asked
 from eqsim.sweeps.scheduler import Scheduler, sweep
 from eqsim.sweeps.store import SCHEMA, Store, schema
 from eqsim.sweeps.workers import Workers
+from eqsim.workflows.sweep import sweep as eqsim_sweep
 
 GRID = (
     BASE
@@ -162,6 +165,67 @@ def test_provenance_holds_every_point(text, tmp_path):
     assert again.ids == plan.ids
     for index in range(plan.size):
         assert again.task(index) == plan.task(index)
+
+
+def test_lifetimes_under_a_force():
+    """Beside the exact mean of identical contacts; none while some have not let go."""
+    text = """
+contacts = { count = 50, stiffness_law = "uniform" }
+thresholds = { law = "delta" }
+thermal = { kT = 0.2 }
+delay = { time = inf }
+drive = { force = 0.3, time = 20.0 }
+sweep = { "drive.force" = [0.3] }
+"""
+    plan = plan_of(text)
+    task, names = plan.task(0), schema(plan.file).names
+    assert {"lifetime", "lifetime_z", "strength"} < {*names}
+    assert "slips" not in names
+    run = SimpleNamespace(lifetimes=np.array([1.0, 2.0, 3.0]), lives=150)
+    row = rows_module._failure_columns(task, task.drive, run, True)
+    exact = lifetime(task.ensemble, task.drive).mean.value
+    assert (row["status"], row["lifetime"], row["lifetime_dof"]) == ("ok", 2.0, 2)
+    assert row["lifetime_reference"] == exact
+    row = rows_module._failure_columns(task, task.drive, run, False)
+    assert "lifetime_reference" not in row
+    run.lifetimes[1] = math.inf
+    row = rows_module._failure_columns(task, task.drive, run, True)
+    assert (row["status"], row.get("lifetime")) == ("unreliable", None)
+
+
+BLOCKS = """
+contacts = { count = 80, stiffness_law = "uniform" }
+drive = { velocity = 0.1 }
+elastic = { blocks = 8, coupling = 1, drive_stiffness = 1 }
+sweep = { "elastic.blocks" = [4] }
+"""
+
+
+def test_blocks_without_references(monkeypatch):
+    ours = Estimate(1.0, 0.1, 9)
+    run = SimpleNamespace(friction=ours, size=ours, single=ours, lives=1)
+    monkeypatch.setattr(rows_module, "elastic_trajectory", lambda *_, **__: run)
+    task = plan_of(BLOCKS).task(0)
+    for exact in (True, False):
+        row = rows_module._point_row(task, Asked(exact=exact), 1)
+        assert ("friction_reference" in row) == ("reference_method" in row) == exact
+
+
+HOLD = """
+drive = { programme = [{ velocity = 0.1, time = 1.0 }, { hold = 1.0 }] }
+sweep = { "drive.programme.1.hold" = [1.0] }
+"""
+
+
+@pytest.mark.parametrize("text", [BLOCKS, HOLD], ids=["blocks", "programme"])
+def test_accuracy_that_is_asked_of_runs_is_refused(text):
+    file = file_of(text)
+    for option, value in (("rel-error", 1e-3), ("transient", True)):
+        said = (
+            rf"^--{option}.*: has no effect on (blocks|a programme or a pulled slider)"
+        )
+        with pytest.raises(InputError, match=said):
+            eqsim_sweep(file, **{option.replace("-", "_"): value})
 
 
 def test_workers_and_threads_do_not_change_a_bit(small):
