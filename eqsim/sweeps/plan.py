@@ -37,10 +37,6 @@ class Plan:
         self.file = file
         if file["drive.file"] is not None:
             raise InputError("drive.file: not allowed with [sweep]")
-        blocks = file["elastic.blocks"] if file["elastic"] else None
-        if isinstance(blocks, list):
-            given = f"elastic.blocks = {shown(blocks)}"
-            raise InputError(f"{given}: a sweep has a column for chains only")
         self.axes = _axes(file)
         self.size = math.prod(len(axis) for axis in self.axes)
         if self.size > MOST_POINTS:
@@ -65,6 +61,10 @@ class Plan:
         try:
             point = self.at(index)
             ensemble, _ = point.ensemble, point.drive
+            blocks = point["elastic.blocks"] if point["elastic"] else None
+            if isinstance(blocks, list):
+                given = f"elastic.blocks = {shown(blocks)}"
+                raise InputError(f"{given}: a sweep has a column for chains only")
         except InputError as error:
             where = f"sweep, point {index + 1} of {self.size}"
             raise InputError(f"{where}: {error}") from None

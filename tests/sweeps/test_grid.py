@@ -30,6 +30,12 @@ def grid(table, base=BASE, folder=Path()):
     return [plan.changes(index) for index in range(plan.size)]
 
 
+def test_sheets_are_refused_before_anything_is_computed():
+    base = f"{BASE}[elastic]\nblocks = 4\ncoupling = 1\ndrive_stiffness = 1\n"
+    with pytest.raises(InputError, match=r"point 2 of 2: elastic.blocks = \[2, 2\]: a"):
+        grid('"elastic.blocks" = [4, [2, 2]]', base)
+
+
 def test_axes_and_their_product():
     assert grid('"thermal.kT" = [0.1, 1]\n"delay.law" = ["fixed", "exponential"]') == [
         {"thermal.kT": 0.1, "delay.law": "fixed"},
