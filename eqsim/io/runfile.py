@@ -441,7 +441,8 @@ def stored(settings: dict[str, Any], folder: Path | str = "") -> RunFile:
 
     def restored(value: Any, name: str = "") -> Any:
         if isinstance(value, dict):
-            rule = RULES.get(value.get("rule", "")) if name == "aging" else None
+            named = value.get("rule") if name == "aging" else None  # a list in [sweep]
+            rule = RULES.get(named) if isinstance(named, str) else None
             usual = {one.name: one.default for one in fields(Aging)} if rule else {}
             for key in ("rule", *rule.keys) if rule else ():
                 usual.pop(key, None)

@@ -14,7 +14,9 @@ from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.export import RENAMED_COLUMNS
 from eqsim.io.runfile import stored
+from eqsim.master.chain_modes import chain_modes
 from eqsim.master.stability import critical_stiffnesses, pulled_by
+from eqsim.model.drive import Programme
 from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked
 from eqsim.sweeps.scheduler import sweep
@@ -190,6 +192,8 @@ def _fluctuations(origin: Origin, _: Table, workers: int, progress: Progress) ->
 
 def _stability(origin: Origin, table: Table, _: int, progress: Progress) -> Table:
     file = stored(origin["settings"], origin["folder"])
+    if isinstance(file.drive, Programme) and file.drive.chain:
+        return chain_modes(file.ensemble, file.drive).columns()
     pulled = pulled_by(file.ensemble, file.drive)
     critical = bool(table["critical_stiffness"].notna().any())
     velocities = table["velocity"].tolist()

@@ -4,6 +4,7 @@ found out."""
 import json
 import os
 import threading
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -164,6 +165,13 @@ def test_one_worker_is_this_process(made, monkeypatch):
     monkeypatch.setattr("eqsim.sweeps.rows.steady", fails)
     with pytest.raises(InputError, match="point 1 fails when it is repeated: no mem"):
         replay(made["sweep"])
+
+
+def test_modes_of_a_chain(tmp_path):
+    runs = Path(__file__).parents[2] / "runs"
+    done = call("stability", runs / "fronts.toml", "--out", tmp_path / "modes")
+    assert done.exit_code == 0, done.output
+    assert replay(tmp_path / "modes" / "modes.parquet").same
 
 
 def test_compare():

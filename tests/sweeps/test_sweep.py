@@ -151,12 +151,19 @@ drive = { velocity = 0.1 }
 elastic = { blocks = 4, coupling = 1, drive_stiffness = 1, load = { first = 1, last = 3 } }
 sweep = { "elastic.blocks" = [4, 8] }
 """,
+        """
+contacts = { stiffness_law = "uniform" }
+drive = { velocity = 0.1 }
+aging = { rule = "flow", rate = 0.1, x_star_final = 2.0 }
+[sweep]
+aging.rule = ["flow", "langevin"]
+""",
     ],
-    ids=["populations", "loads"],
+    ids=["populations", "loads", "rules"],
 )
 def test_provenance_holds_every_point(text, tmp_path):
-    """Populations inherit keys that change from point to point, and there are as many
-    loads as blocks."""
+    """Populations inherit keys that change from point to point, there are as many loads
+    as blocks, and rules of aging may be a list."""
     plan = plan_of(text)
     store = Store(tmp_path / "o", plan, Asked())
     store.close()
