@@ -139,10 +139,12 @@ def complain(message: str) -> None:
 
 
 def typed(message: str) -> str:
-    """Replace names of arguments of functions in a message by those of the options."""
+    """Replace names of arguments of functions in a message by those of the options:
+    where it begins with one, or says what one is or was. Others may be columns of a
+    file."""
     options = "rel_error|max_lives|temperature|velocity|at|columns|trend"
-    names = rf"(?<![\w.-])({options})(?= (= |was ))"
-    return re.sub(names, lambda found: "--" + found[1].replace("_", "-"), message)
+    names = rf"(\A|(?<=more than ))({options})(?= = )|(?<![\w.-])({options})(?= was )"
+    return re.sub(names, lambda found: "--" + found[0].replace("_", "-"), message)
 
 
 def results_folder(path: Path, out: Path | None) -> Path:

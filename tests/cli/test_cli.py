@@ -24,6 +24,7 @@ from waiting import once
 
 from eqsim import Drive, Table, load, steady
 from eqsim.cli.app import app
+from eqsim.cli.options import typed
 from eqsim.estimate import OBSERVABLES, Estimate
 from eqsim.io import terminal
 from eqsim.io.terminal import Report, bar
@@ -392,6 +393,12 @@ def test_options_are_named_as_they_are_typed(run_file, args, said):
     assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
     assert result.stderr.startswith(f"eqsim: {said}") or said.startswith("more")
     assert said in result.stderr
+
+
+def test_columns_of_a_file_are_no_options():
+    said = "rec.csv, line 4: velocity = 'oops': must be a number"
+    assert typed(said) == said
+    assert typed("velocity = 0.0: must be") == "--velocity = 0.0: must be"
 
 
 @pytest.mark.parametrize(
