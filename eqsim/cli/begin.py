@@ -96,12 +96,15 @@ def new(
 
 
 def _law(path: Path, column: str | None, folder: Path) -> str:
-    """The section of measured thresholds, with the unit in the name of the column."""
+    """The section of measured thresholds, with the unit in the name of the column or in
+    a row of units."""
     sheet = csv.read(path, f"--thresholds {path}")
-    name = sheet.columns[sheet.index(column) if column else 0]
+    index = sheet.index(column) if column else 0
+    name = sheet.columns[index]
     sheet.require_names()
-    unit = re.search(r"[\[(]([^\])]+)[\])]$", name)
-    value, of = (units.measured(f"1 {unit[1]}") if unit else None) or (0.0, LENGTH)
+    named = re.search(r"[\[(]([^\])]+)[\])]$", name)
+    unit = named[1] if named else "".join(sheet.units[index : index + 1]).strip("[]()")
+    value, of = (units.measured(f"1 {unit}") if unit else None) or (0.0, LENGTH)
     if of not in (LENGTH, FORCE):
         said = f'column "{name}" must be a length or a force'
         raise InputError(f"--thresholds {path}: {said}")

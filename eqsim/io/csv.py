@@ -62,7 +62,7 @@ class Sheet:
     encoding: str = "utf-8-sig"
     separator: str = ","  # of cells; " " for any number of blanks
     decimal: str = "."
-    units: bool = False  # the `first` line holds units
+    units: tuple[str, ...] = ()  # of columns, which the `first` line holds
     guessed: bool = False  # the decimal sign was not given
 
     @property
@@ -81,7 +81,7 @@ class Sheet:
         parts = [f"cells separated by {_BETWEEN[self.separator]}"]
         parts += ["decimal commas"] * (self.decimal == ",")
         parts += ["text in Latin-1, not UTF-8"] * (self.encoding == "latin-1")
-        parts += [f"line {self.first} holds units"] * self.units
+        parts += [f"line {self.first} holds units"] * bool(self.units)
         return ", ".join(parts)
 
     def index(self, name: str, hint: str = "") -> int:
@@ -206,7 +206,7 @@ def read(path: Path, field: str, decimal: str | None = None) -> Sheet:
         named = any(unit.strip("-") for unit in units)
         are_units = named and all(map(_UNIT.fullmatch, units))
         if are_units and not _numbers(units, sign) and _numbers(row, sign):
-            return replace(sheet, first=head[1][0], units=True)
+            return replace(sheet, first=head[1][0], units=tuple(units))
     return sheet
 
 

@@ -407,6 +407,7 @@ def test_columns_of_a_file_are_no_options():
         ("# x\nstrength (mN), area\n0.8,1\n1.2,2\n", Table([0.4, 0.6])),
         ("s [nm];a\n800;1\n1200;2\n", Table([0.8, 1.2])),
         ("0.8\n1.2\n", Table([0.8, 1.2])),
+        ("no,strength\n-,uN\n1,800\n2,1200\n", Table([0.4, 0.6])),
     ],
 )
 def test_a_new_run_file_of_measured_thresholds(text, law, tmp_path):
@@ -414,7 +415,8 @@ def test_a_new_run_file_of_measured_thresholds(text, law, tmp_path):
     of the mean strength."""
     (tmp_path / "s.csv").write_text(text)
     path = tmp_path / "mine.toml"
-    given = "--thresholds", tmp_path / "s.csv", "--stiffness", "2 N/mm"
+    given = ["--thresholds", tmp_path / "s.csv", "--stiffness", "2 N/mm"]
+    given += ["--column", "strength"] * text.startswith("no")
     done = call("new", path, *given)
     assert done.exit_code == 0, done.output
     ensemble = load(path).ensemble
