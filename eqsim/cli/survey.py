@@ -69,8 +69,10 @@ def sweep(
     file = changes.load(path)
     workers = options.chosen(threads)
     given = changes.given()
-    for key in sorted(given.keys() & plan.swept(file)):
-        said = f"the [sweep] table sets {key} at every point; --set sweep.{key}=[...] sets other values there"
+    swept = plan.swept(file)
+    for key in sorted(given.keys() & swept.keys()):
+        axis = swept[key]
+        said = f"the [sweep] table sets {axis} at every point; --set sweep.{axis}=[...] sets other values there"
         raise InputError(f"{given[key][1]}: has no effect, {said}")
     exact = not options.no_exact
     asked = rows.Asked(options.rel_error, max_lives, options.transient, exact)

@@ -91,15 +91,22 @@ def of_population(key: str) -> tuple[str, str]:
     return population, key.removeprefix(population)
 
 
+def alternative(key: str) -> str | None:
+    """The key that says the same as this one, in the same population; None without
+    any."""
+    population, bare = of_population(key)
+    other = _ALTERNATIVES.get(bare)
+    return other and population + other
+
+
 def without_alternatives(data: dict[str, Any], changes: Collection[str]) -> None:
     """Remove each key that says the same as one of the keys that change, at the top or
     in the same population."""
     for key in changes:
-        population, bare = of_population(key)
-        other = _ALTERNATIVES.get(bare)
-        if other is None or population + other in changes:
+        other = alternative(key)
+        if other is None or other in changes:
             continue
-        *sections, name = f"{population}{other}".split(".")
+        *sections, name = other.split(".")
         place = functools.reduce(_below, sections, data)
         if isinstance(place, dict):
             place.pop(name, None)
@@ -108,13 +115,7 @@ def without_alternatives(data: dict[str, Any], changes: Collection[str]) -> None
 def with_blocks(data: dict[str, Any]) -> dict[str, Any]:
     """The content of a run file with the keys of blocks that stand in [interface], as
     they may, in [elastic]. Raises InputError for one that stands in both."""
-    named = schema.keys_of("elastic")
-
-    def moved(key: str) -> str:
-        section, _, name = key.partition(".")
-        return f"elastic.{name}" if section == "interface" and name in named else key
-
-    data = dict(data)
+    data, named = dict(data), schema.keys_of("elastic")
     interface, elastic = data.get("interface"), data.get("elastic") or {}
     if isinstance(interface, dict) and isinstance(elastic, dict):
         blocks = {key: interface[key] for key in interface if key in named}
@@ -124,8 +125,30 @@ def with_blocks(data: dict[str, Any]) -> dict[str, Any]:
             data["elastic"] = elastic | blocks
             data["interface"] = {k: v for k, v in interface.items() if k not in named}
     if isinstance(sweep := data.get("sweep"), dict):
-        data["sweep"] = {moved(key): value for key, value in sweep.items()}
+        data["sweep"] = _axes_of_blocks(sweep)
     return data
+
+
+def of_blocks(key: str) -> str:
+    """The key in [elastic] of one of blocks that stands in [interface]; else the key."""
+    section, _, name = key.partition(".")
+    moved = section == "interface" and name in schema.keys_of("elastic")
+    return f"elastic.{name}" if moved else key
+
+
+def _axes_of_blocks(sweep: Any) -> Any:
+    """The content of [sweep], or of its `zip`, with axes over keys `of_blocks`."""
+    if isinstance(sweep, list):
+        return [_axes_of_blocks(group) for group in sweep]
+    if not isinstance(sweep, dict):
+        return sweep
+    found: dict[str, Any] = {}
+    for key, value in sweep.items():
+        if key == "interface" and isinstance(value, dict):  # of keys without quotes
+            found |= _axes_of_blocks({f"{key}.{name}": x for name, x in value.items()})
+        else:
+            found[of_blocks(key)] = _axes_of_blocks(value) if key == "zip" else value
+    return found
 
 
 def path_of(field: str, folder: Path, name: str) -> Path:

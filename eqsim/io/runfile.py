@@ -28,6 +28,7 @@ from eqsim.estimate import Averages, Estimate
 from eqsim.io import csv, schema
 from eqsim.io.content import (
     copied,
+    of_blocks,
     path_of,
     plain,
     put,
@@ -286,6 +287,7 @@ class RunFile(Listed):
         "section.key", {"thermal.kT": 0.1}. Raises InputError for a key that there is
         not, and a value that has not its type."""
         data, known = copied(self.given, without=("sweep", "fit")), keys(self)
+        changes = {of_blocks(key): value for key, value in changes.items()}
         without_alternatives(data, changes)
         for key, value in changes.items():
             if key not in known:

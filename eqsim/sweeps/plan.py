@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow
 
 from eqsim.errors import InputError, require_integer, require_number, shown, under
-from eqsim.io.content import path_of
+from eqsim.io.content import alternative, of_blocks, path_of
 from eqsim.io.parameters import keys, naming
 from eqsim.io.runfile import RunFile, at
 from eqsim.io.schema import OPTIONAL
@@ -122,9 +122,14 @@ def _zipped(group: Any, file: RunFile) -> list[dict[str, Any]]:
     return [dict(zip(values, row, strict=True)) for row in rows]
 
 
-def swept(file: RunFile) -> set[str]:
-    """The keys that a [sweep] table sets at every point. Raises InputError."""
-    return {key for axis in _axes(file) for key in set.intersection(*map(set, axis))}
+def swept(file: RunFile) -> dict[str, str]:
+    """The keys that a [sweep] table sets at every point, and those that say the same,
+    as a kT beside a temperature; each with its axis. Raises InputError."""
+    found = {
+        key: key for axis in _axes(file) for key in set.intersection(*map(set, axis))
+    }
+    others = {alternative(key): key for key in found}
+    return {other: key for other, key in others.items() if other} | found
 
 
 def entries(
@@ -199,7 +204,7 @@ def _points_file(name: Any, file: RunFile) -> list[dict[str, Any]]:
     for key in rows[0]:
         with under(f"sweep.file = {name}, column"):
             _refuse_unknown(key, file)
-    return [{key: x for key, x in row.items() if x is not None} for row in rows]
+    return [{of_blocks(k): x for k, x in row.items() if x is not None} for row in rows]
 
 
 def identity(point: RunFile, ensemble: Ensemble) -> str:

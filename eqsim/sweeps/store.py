@@ -210,7 +210,8 @@ class Store:
             return
         try:
             before = json.loads(path.read_bytes())["asked"]
-            known = {*now, *before} - swept(plan.file)  # whatever its other values are
+            # whatever the values of keys are that the points set
+            known = {*now, *before}.difference(swept(plan.file))
             changed = [key for key in sorted(known) if now.get(key) != before.get(key)]
         except (ValueError, KeyError, TypeError, AttributeError):
             said = "is damaged; this folder cannot be continued"

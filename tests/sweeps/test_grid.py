@@ -36,6 +36,21 @@ def test_sheets_are_refused_before_anything_is_computed():
         grid('"elastic.blocks" = [4, [2, 2]]', base)
 
 
+def test_keys_of_blocks_may_stand_in_the_interface(tmp_path):
+    base = f"{BASE}[elastic]\nblocks = 4\ncoupling = 1\ndrive_stiffness = 1\n"
+    points = [{"elastic.blocks": 4, "elastic.coupling": 2.0}]
+    axes = "interface.blocks = [4]", "interface.coupling = [2.0]"
+    quoted = ['"{}" ={}'.format(*axis.split(" =")) for axis in axes]
+    for one, other in (axes, quoted):
+        assert grid(f"{one}\n{other}", base) == points
+        assert grid(f"zip = [{{ {one}, {other} }}]", base) == points
+        assert grid(f"zip = {{ {one}, {other} }}", base) == points
+    file = file_of(base).with_changes({"interface.coupling": 3.0})
+    assert file["elastic.coupling"] == 3.0
+    pq.write_table(pa.table({"interface.coupling": [2.0]}), tmp_path / "p.parquet")
+    assert grid('file = "p.parquet"', base, tmp_path) == [{"elastic.coupling": 2.0}]
+
+
 def test_axes_and_their_product():
     assert grid('"thermal.kT" = [0.1, 1]\n"delay.law" = ["fixed", "exponential"]') == [
         {"thermal.kT": 0.1, "delay.law": "fixed"},

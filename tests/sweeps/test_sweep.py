@@ -969,7 +969,21 @@ def test_set_and_sweep_do_not_contend(tmp_path, table, args, said):
     plan = Plan(load(path, {"contacts.count": 7}))
     assert plan.at(0)["contacts.count"] == 7
     if "file" in table:
-        assert swept(load(path)) == {"drive.velocity"}
+        assert {*swept(load(path))} == {"drive.velocity"}
+
+
+def test_a_key_that_follows_from_an_axis_is_refused(tmp_path):
+    """A kT beside a temperature that every point sets."""
+    path, out = tmp_path / "a.toml", tmp_path / "o"
+    units = 'units = { length = "nm", time = "s", force = "nN" }\n'
+    axis = '[sweep]\n"thermal.temperature" = [300.0, 400.0]\n'
+    path.write_text(units + BASE + axis)
+    given = ["sweep", str(path), "--out", str(out), "--set", "thermal.kT=0.5"]
+    done = CliRunner().invoke(app, given)
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    said = "has no effect, the [sweep] table sets thermal.temperature at every point"
+    assert f"--set thermal.kT=0.5: {said}" in done.stderr
+    assert not out.exists()
 
 
 @pytest.mark.parametrize("key", ['"thermal.kT"', "thermal.kT"])
