@@ -21,7 +21,6 @@ from eqsim.master.steady import reference
 from eqsim.master.transient import transient
 from eqsim.model.drive import Drive
 from eqsim.model.ensemble import Ensemble
-from eqsim.model.reduced import births
 from eqsim.numerics.tables import Array
 
 # Rms thresholds, or travels of a life, over which the peak is sought.
@@ -62,11 +61,9 @@ def period_of(ensemble: Ensemble, velocity: float) -> float:
     """Displacement in which contacts in step break: the rms threshold, the final one of
     contacts that age at once, or the mean travel of a life without thresholds. Raises
     InputError where `reference` does."""
-    law = ensemble.thresholds
-    if ensemble.aging.rate == math.inf:
-        law = births(ensemble, velocity)
+    law, aging = ensemble.thresholds, ensemble.aging
     if not isinstance(law, NoThresholds):
-        return law.rms
+        return law.rms * (aging.final(law.scale) if aging.rate == math.inf else 1.0)
     return known(reference(ensemble, Drive(velocity)).travel)
 
 

@@ -241,9 +241,9 @@ def test_run_tells_it(tmp_path):
 
 def test_peak_of_contacts_that_age_at_once():
     """It is that of their final thresholds, however far above those at birth."""
-    aging = Aging("flow", rate=math.inf, x_star_final=10.0)
-    aged = first_peak(Ensemble(Gamma(1.0), aging=aging), 0.1)
-    final = first_peak(Ensemble(Gamma(1.0, x_star=10.0)), 0.1)
+    aging, alike = Aging("flow", math.inf, 10.0), {"stiffness_law": "uniform"}
+    aged = first_peak(Ensemble(Gamma(1.0), aging=aging, **alike), 0.1)
+    final = first_peak(Ensemble(Gamma(1.0, x_star=10.0), **alike), 0.1)
     for name in ("X", "force"):
         one, other = getattr(aged, name), getattr(final, name)
         assert abs(one.value - other.value) <= one.stderr + other.stderr
