@@ -140,10 +140,10 @@ def complain(message: str) -> None:
 
 def typed(message: str) -> str:
     """Replace names of arguments of functions in a message by those of the options:
-    where it begins with one, or says what one is or was. Others may be columns of a
+    where it begins with one, or says what one is or was, as in brackets. Others may be columns of a
     file."""
     options = "rel_error|max_lives|temperature|velocity|at|columns|trend"
-    names = rf"(\A|(?<=more than ))({options})(?= = )|(?<![\w.-])({options})(?= was )"
+    names = rf"(\A|(?<=more than )|(?<=\())({options})(?= = )|(?<![\w.-])({options})(?= was )"
     return re.sub(names, lambda found: "--" + found[0].replace("_", "-"), message)
 
 

@@ -96,7 +96,7 @@ class RunFile(Listed):
     folder: Path = field(default=Path(), repr=False, compare=False)
     unlisted: ClassVar[tuple[str, ...]] = (
         *("constant_drive", "driven_by", "headline", "physical"),
-        *("preferred", "pulled", "quantities_in", "rows"),
+        *("preferred", "pulled", "quantities_in", "rows", "sweep_settings"),
     )
 
     def __getitem__(self, key: str) -> Any:

@@ -140,7 +140,7 @@ def test_alpha():
         InputError, match=r"^4 rate x_star / \(velocity x_star_final\^2\) = "
     ):
         Aging("flow", 1e60).alpha(1.0, 1e-60)
-    with pytest.raises(ValueError, match="mean stretch"):
+    with pytest.raises(InputError, match="constant velocity only"):
         reduced(Ensemble(aging=Aging("flow", 1.0), disorder="annealed"), 1.0)
 
 
