@@ -322,7 +322,7 @@ def test_change_in_which_hardly_a_contact_breaks(stage):
     """A hold in which a fifth of a contact breaks on the average: the force falls by
     what the mean field says within five of its errors, which know of the contacts that
     broke in no part (six or more would have to break, a false alarm of 1e-7 each)."""
-    warm = Ensemble(count=6400, thermal=Thermal(0.02), **UNIFORM)
+    warm = Ensemble(count=640, thermal=Thermal(0.02), **UNIFORM)
     replicas = 8 if stage else 1
     hold = Segment(time=0.1 / warm.count / replicas)
     programme = Programme([Segment(0.1, distance=3.0), hold], stage=stage)
