@@ -139,9 +139,9 @@ def complain(message: str) -> None:
 
 
 def typed(message: str) -> str:
-    """Replace names of arguments of functions in a message by those of the options:
-    where it begins with one, or says what one is or was, as in brackets. Others may be columns of a
-    file."""
+    """Replace names of arguments of functions in a message by those of the options,
+    where it begins with one, says "more than" one or what one was, or gives one in
+    brackets. Elsewhere such a name may be that of a column of a file."""
     options = "rel_error|max_lives|temperature|velocity|at|columns|trend"
     names = rf"(\A|(?<=more than )|(?<=\())({options})(?= = )|(?<![\w.-])({options})(?= was )"
     return re.sub(names, lambda found: "--" + found[0].replace("_", "-"), message)

@@ -319,8 +319,8 @@ def unmet_forces(
     force: tuple[Array, Array],
     count: int,
 ) -> Array:
-    """Changes of the mean force of `count` contacts, at the instants of a grid, with its
-    standard error, by one of them that breaks; 0 in holds in which none does."""
+    """How much one more break changes the mean `force` of `count` contacts at each
+    instant of a grid, given with its standard error; 0 in holds in which none breaks."""
     mean, stderr = force
     moves = [s.velocity != 0 or ensemble.changes_at_rest for s in programme.segments]
     return scatter.unmet_force(stderr**2, mean, count) * np.array(moves)[grid.segment]

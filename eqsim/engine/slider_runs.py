@@ -345,7 +345,7 @@ def pulled_columns(
             errors[name] = np.hypot(errors[name], missed)
     X, force = mean["X"] * unit, mean["friction"] * unit
     X_stderr, stderr = errors["X"] * unit, errors["friction"] * unit
-    # equal contacts break within one step, which coarser steps may take as well by chance
+    # equal contacts break within one step, which a coarser one may meet by chance
     in_step = again is not None and any(
         isinstance(kind.contacts.thresholds, Delta)
         and not kind.contacts.changes_at_rest

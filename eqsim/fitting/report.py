@@ -308,7 +308,7 @@ def remarks(result: FitResult) -> Iterator[str]:
 
 
 def _temperature(row: MeasuredAt) -> tuple[Any, ...]:
-    """What a row of a table says of its temperature."""
+    """Temperature and keys of heat that a row of a table gives, to tell rows apart."""
     return (row.heat, *(pair for pair in row.changes if "thermal." in pair[0]))
 
 

@@ -191,8 +191,9 @@ def read(path: Path, field: str, decimal: str | None = None) -> Sheet:
         columns = _names(lines[0], separator)
     except InputError as error:
         raise InputError(f"{field}, line {first}: {error}") from None
-    sheet = Sheet(field, columns, first, content, encoding, separator, sign)
-    sheet = replace(sheet, guessed=not decimal)
+    sheet = Sheet(
+        field, columns, first, content, encoding, separator, sign, guessed=not decimal
+    )
     if len(columns) > 1 and sheet.headless:  # as numpy.savetxt writes
         with io.TextIOWrapper(io.BytesIO(content), encoding) as text:
             above = [line for line in itertools.islice(text, first - 1) if line.strip()]

@@ -65,14 +65,14 @@ class Asked:
     def require_effect(self, drive: Drive | Programme) -> None:
         """Raise InputError for what changes nothing with such a drive, each point of
         which is one run."""
-        kind = "blocks" if drive.elastic else "a programme or a pulled slider"
         if isinstance(drive, Drive) and not drive.elastic:
             return
-        for name, usual in (("rel_error", Asked.rel_error), ("transient", False)):
-            if (value := getattr(self, name)) != usual:
-                option = f"--{name.replace('_', '-')}" + f" = {value}" * (
-                    value is not True
-                )
+        kind = "blocks" if drive.elastic else "a programme or a pulled slider"
+        for option, given in (
+            (f"--rel-error = {self.rel_error}", self.rel_error != Asked.rel_error),
+            ("--transient", self.transient),
+        ):
+            if given:
                 said = f"has no effect on {kind}: a point is the average of its run"
                 raise InputError(f"{option}: {said}")
 
@@ -142,8 +142,8 @@ def _elastic(
     reliable = run.friction.reliable and run.size.reliable
     row = _status(run.lives, [] if reliable else [_TOO_SHORT])
     exact = dict[str, Estimate]()
-    in_time = isinstance(drive, Programme)
-    if compares and not (in_time or blocks.follows_events(ensemble.thermal.active)):
+    steady = not blocks.follows_events(ensemble.thermal.active)
+    if compares and steady and isinstance(drive, Drive):
         rigid = reference(ensemble, replace(drive, elastic=None))
         exact = averages_of_blocks(ensemble.thresholds, blocks, ensemble.count)
         row["reference_method"], exact["friction"] = rigid.method, rigid.friction

@@ -90,10 +90,10 @@ class ChainResult(ProgrammeResult):
                 front = f"{speed:.3g} +- {error:.1g}", run.kind_of(speed)
             blocks = events["blocks"][i]
             kind = f"{blocks} (all)" if blocks == run.chain.count else f"{blocks}"
-            sizes = [f"{events[name][i]:.5g}" for name in ("t", "duration")]
-            sizes[1] = sizes[1] if events["ended"][i] else f"> {sizes[1]}"
+            bound = "" if events["ended"][i] else "> "
+            times = f"{events['t'][i]:.5g}", f"{bound}{events['duration'][i]:.5g}"
             forces = (f"{events[name][i]:.4g}" for name in ("peak", "drop"))
-            yield str(i), *sizes, kind, *forces, *front
+            yield str(i), *times, kind, *forces, *front
         if events["t"].size > _MOST_EVENTS:
             yield "...", *[""] * 7
 

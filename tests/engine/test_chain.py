@@ -610,6 +610,8 @@ def until(end):
 
 
 def test_an_event_under_way_at_the_end():
+    """It is that of the longer run, whose instants are the same but for rounding (1e-16
+    of t): another one would begin a duration earlier or later, 1e-2 of t."""
     whole = until(200.0).trajectory.events
     begin, duration = whole["t"][0], whole["duration"][0]
     found = until(round(begin + 0.9 * duration, 1))

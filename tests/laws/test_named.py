@@ -455,7 +455,7 @@ def test_bad_run_files(tmp_path, given, message):
 
 
 def heavy_tails(law):
-    """What is said of heavy tails, if anything."""
+    """Answer to whether a law has heavy tails, None without one."""
     found = groups(Ensemble(law, Thermal(0.1)), Drive(0.1))
     return {group.name: group.value for group in found}.get("heavy tails")
 

@@ -149,9 +149,8 @@ class Barrier(Law):
         ends = x, x - way
         with np.errstate(divide="ignore", invalid="ignore"):  # x = 0
             last, first = (self.log_hazard(end, xi, a) + self.log_w for end in ends)
-            found = -np.exp(np.minimum(last, 300.0)) * np.expm1(
-                np.minimum(first - last, 0.0)
-            )
+            less = np.minimum(first - last, 0.0)  # above 0 by rounding
+            found = -np.exp(np.minimum(last, 300.0)) * np.expm1(less)
         E = [self.exponent(np.maximum(xi - end, 0.0), xi + end, xi, a) for end in ends]
         short = abs(E[1] - E[0]) < 1.0
         back, weights = SHORT_WAY.between(0.0 * way[short], way[short])
