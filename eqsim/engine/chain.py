@@ -107,6 +107,10 @@ def chained(
     # A front breaks all contacts of a block within a step, however narrow their law.
     width = width_of(law) if free else law.mean
     barrier, aging = laws.barrier, laws.aging
+    velocity = 0.0  # before the programme
+    if programme.start == "stationary" and programme.velocity:
+        velocity = programme.velocity
+    speed = velocity / pace
     links = Links(
         coupling=float(coupling),
         bulk=bulk,
@@ -122,7 +126,7 @@ def chained(
         longest=longer * math.sqrt(chain.tolerance) * width / unit,
         tolerance=longer**2 * chain.tolerance * law.mean / unit,
         waits=not isinstance(barrier, Mechanical) or not isinstance(aging, Unaged),
-        fast=_EVENT_SPEED * max(map(abs, pull.speeds)),
+        fast=_EVENT_SPEED * max(abs(speed), *map(abs, pull.speeds)),
     )
     blocks = Blocks(*np.zeros((len(Blocks._fields), B)))
     blocks.direction.fill(1.0)
@@ -136,10 +140,9 @@ def chained(
         *(laws, key, first, links, blocks, population),
         *(now, then, part, *rows, course, *lists),
     )
-    speed = 0.0
-    if programme.start == "stationary" and programme.velocity:
-        speed = programme.velocity / pace
-        before = contacts(ensemble, programme.velocity)
+    course["direction"] = 1.0
+    if speed:
+        before = contacts(ensemble, velocity)
         find_stationary(before, key, first, population, speed)
     follow_all(c)
     course["dt"] = FIRST_STEP * pull.ends[0]
@@ -296,14 +299,15 @@ def _under_way(c: Chained) -> Array:
     s, blocks = c.course[0], c.blocks.broken.sum()
     if not (s["going_on"] and blocks):
         return np.empty(0, EVENT)
+    force = np.mean(c.links.springs * (s["Y"] - c.blocks.X))
     found = np.zeros(1, EVENT)
     for name, value in {
         "event": s["event"],
         "t": s["begin"],
         "duration": s["time"] - s["begin"],
         "blocks": blocks,
-        "peak": s["peak"],
-        "drop": s["force"] - np.mean(c.links.springs * (s["Y"] - c.blocks.X)),
+        "peak": s["direction"] * s["peak"],
+        "drop": s["force"] - s["direction"] * force,
         "energy": s["damped"] + s["lost"] - s["dissipated"],
     }.items():
         found[name] = value
@@ -405,7 +409,7 @@ def chain_trajectory(
         coarser_events=by_replica(
             [_in_units(run.events, pull, unit) for run in coarse]
         ),
-        fronts=missing_steps(fronts_of(broke), fronts_of(coarsely)),
+        fronts=missing_steps(fronts_of(broke, chain), fronts_of(coarsely, chain)),
     )
 
 

@@ -42,11 +42,12 @@ class ChainTrajectory(PulledRecord):
     events : dict of ndarray
         Columns: the number of the `event`, `t` when it began, `duration`, how many
         `blocks` broke, `peak`, the largest force of the springs that drive since the
-        event before, and its `drop` (lengths), the `energy` taken by breaks and dampers
-        over N k (length squared), whether it `ended`, and the `replica`. An event goes on
-        while a block moves more than twice as fast as the fastest segment of the
-        programme; at least one block breaks. It is a precursor unless all blocks do.
-        One under way when the record ends is not in means over events.
+        event before, and its `drop` (lengths; in a motion backwards the least force and
+        its rise), the `energy` taken by breaks and dampers over N k (length squared),
+        whether it `ended`, and the `replica`. An event goes on while a block moves more
+        than twice as fast as the drive at its fastest, a stationary start included; at
+        least one block breaks. It is a precursor unless all blocks do. One under way
+        when the record ends is not in means over events.
     coarser_events : dict of ndarray
         Those of the same contacts in steps four times as long; a third of what these
         change is in the errors of means over events.
@@ -86,9 +87,10 @@ class ChainTrajectory(PulledRecord):
 
     @cached_property
     def static_friction(self) -> Estimate:
-        """Largest force of the springs before events in which all blocks break, over
-        N k (length), without the first of each replica, which depends on the start."""
-        return self._mean("peak", lambda peak: peak[1:])
+        """Largest force of the springs, forwards or backwards, before events in which
+        all blocks break, over N k (length), without the first of each replica, which
+        depends on the start."""
+        return self._mean("peak", lambda peak: np.abs(peak[1:]))
 
     @cached_property
     def recurrence(self) -> Estimate:
@@ -163,8 +165,8 @@ class ChainTrajectory(PulledRecord):
     def kind_of(self, speed: float) -> str:
         """Name of a front of this speed (blocks/time) beside c = sqrt(K/M):
         "slow" below 0.1 c, "supersonic" above c, else "fast"; "overdamped" without a
-        mass."""
-        if not self.chain.mass:
+        mass, or without springs between blocks."""
+        if not (self.chain.mass and self.chain.coupling):
             return "overdamped"
         mach = speed / self.chain.wave_speed
         return "slow" if mach < _SLOW else "supersonic" if mach > 1.0 else "fast"
@@ -187,18 +189,21 @@ FRONT = np.dtype(
 )
 
 
-def fronts_of(broke: dict[str, Array]) -> dict[str, Array]:
-    """Fit the speeds of fronts, by column.
+def fronts_of(broke: dict[str, Array], chain: Chain) -> dict[str, Array]:
+    """Fit the speeds of fronts in a chain, by column.
 
     A front runs to the left or to the right of the block that breaks first in an event,
-    through neighbours, at least 5. Its speed is that of the straight line through the
-    times at which they break, its error that of the fit, as if these were off
-    independently; where the slope is not above two of its errors, there is no front.
+    through neighbours, at least 5; where all of a ring break, to the last. Its speed is
+    that of the straight line through the times at which they break, its error that of
+    the fit, as if these were off independently; where the slope is not above two of its
+    errors, there is no front.
 
-    Columns: `event`, `block` where it begins, `t` when the line leaves it, how many `blocks` it breaks,
-    `direction` (1 or -1), `speed` and `speed_stderr` (blocks/time), and the `replica`.
+    Columns: `event`, `block` where it begins, `t` when the line leaves it, how many
+    `blocks` it breaks, `direction` (1 or -1), `speed` and `speed_stderr` (blocks/time),
+    and the `replica`.
     """
-    rows = []
+    rows, ring = [], chain.edges == "periodic"
+    around = chain.count if ring else chain.count + 1
     names = np.stack((broke["replica"], broke["event"]))
     change = np.any(np.diff(names, axis=1) != 0, axis=0)
     for here in np.split(np.arange(change.size + 1), np.flatnonzero(change) + 1):
@@ -208,10 +213,11 @@ def fronts_of(broke: dict[str, Array]) -> dict[str, Array]:
             zip(broke["block"][here].tolist(), broke["t"][here].tolist(), strict=True)
         )
         start = min(t, key=t.__getitem__)
+        last = max(t, key=t.__getitem__) if ring and len(t) == chain.count else None
         for direction in (1, -1):
             run = [start]
-            while run[-1] + direction in t:
-                run.append(run[-1] + direction)
+            while run[-1] != last and (run[-1] + direction) % around in t:
+                run.append((run[-1] + direction) % around)
             times = np.array([t[block] for block in run])
             if times.size < _SHORTEST_FRONT:
                 continue

@@ -114,6 +114,7 @@ COURSE = np.dtype(
         ("dissipated", float),  # at its beginning
         ("force", float),  # of the springs at its beginning
         ("peak", float),  # largest force of the springs since the event before
+        ("direction", float),  # of the drive, 1 or -1: `force` and `peak` are along it
         ("rows", np.int64),  # of the log of breaks
         ("events", np.int64),  # in the list of events
     ]
@@ -515,11 +516,16 @@ def _force(c: Chained) -> float:
 
 
 @routine(inline=True)
-def _watch(c: Chained, dt: float) -> None:
-    """Tell when events begin and end, and when their blocks break, after a step."""
+def _watch(c: Chained, dt: float, speed: float) -> None:
+    """Tell when events begin and end, and when their blocks break, after a step while
+    what drives moves at `speed`."""
     links, b, s = c.links, c.blocks, c.course[0]
     size = b.X.size
-    force = _force(c)
+    if speed * s.direction < 0.0:
+        s.direction = -s.direction
+        s.force = -s.force
+        s.peak = -math.inf
+    force = s.direction * _force(c)
     s.peak = max(s.peak, force)
     fastest = 0.0
     for j in range(size):
@@ -557,7 +563,7 @@ def _watch(c: Chained, dt: float) -> None:
         event.t = s.begin
         event.duration = s.time - s.begin
         event.blocks = blocks
-        event.peak = s.peak
+        event.peak = s.direction * s.peak
         event.drop = s.force - force
         event.energy = s.damped + s.lost - s.dissipated
         event.ended = True
@@ -587,7 +593,7 @@ def _end_step(c: Chained, dt: float, until: float, speed: float, off: float) -> 
     s.dt = _next_step(c, dt, cut)
     if cut:
         s.time = until
-    _watch(c, dt)
+    _watch(c, dt, speed)
 
 
 @routine(inline=True)

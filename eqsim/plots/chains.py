@@ -44,18 +44,20 @@ def chain_figure(run: "ChainTrajectory", caption: Caption) -> Figure:
 
 @styled
 def fronts_figure(run: "ChainTrajectory", caption: Caption) -> Figure:
-    """Draw the blocks that break in each event of the first replica against time, and
-    the event with most blocks closely, with the straight lines of its fronts."""
+    """Draw the blocks that break in each event of the replica that has the event with
+    most blocks against time, and this one closely, with the straight lines of its
+    fronts."""
     figure = Figure(figsize=(10, 4.6))
     left, right = figure.subplots(1, 2)
-    events, broke, fronts = (
-        {name: column[table["replica"] == 0] for name, column in table.items()}
-        for table in (run.events, run.broke, run.fronts)
+    count, most = run.chain.count, np.argmax(run.events["blocks"])
+    largest, replica = run.events["event"][most], run.events["replica"][most]
+    broke, fronts = (
+        {name: column[table["replica"] == replica] for name, column in table.items()}
+        for table in (run.broke, run.fronts)
     )
     left.plot(broke["t"], broke["block"], ".", color="C0", markersize=3)
     left.set(xlabel=caption.along("t"), ylabel="block", xlim=(run.t[0], run.t[-1]))
-    left.set(ylim=(-0.5, run.chain.count - 0.5), title="blocks that break")
-    largest = events["event"][np.argmax(events["blocks"])]
+    left.set(ylim=(-0.5, count - 0.5), title="blocks that break")
     here = broke["event"] == largest
     begin = float(broke["t"][here].min())
     right.plot(broke["t"][here] - begin, broke["block"][here], **DOTS)
@@ -64,11 +66,14 @@ def fronts_figure(run: "ChainTrajectory", caption: Caption) -> Figure:
         speed, error = fronts["speed"][i], fronts["speed_stderr"][i]
         steps = np.arange(fronts["blocks"][i])
         along = fronts["t"][i] - begin + steps / speed
-        blocks = fronts["block"][i] + fronts["direction"][i] * steps
+        blocks = (fronts["block"][i] + fronts["direction"][i] * steps) % count
+        blocks = np.where(
+            np.abs(np.diff(blocks, prepend=blocks[0])) > 1, np.nan, blocks
+        )
         label = f"{speed:.3g} ± {error:.1g} blocks/time, {run.kind_of(speed)}"
         right.plot(along, blocks, color=color, linewidth=1, label=label)
     right.set(xlabel="time since the first block broke", ylabel="block")
-    right.set(ylim=(-0.5, run.chain.count - 0.5), title="the largest event")
+    right.set(ylim=(-0.5, count - 0.5), title="the largest event")
     if mine.size:
         right.legend(loc="best")
     for axes in (left, right):

@@ -184,7 +184,9 @@ def fronts(point: Point, plan: Suite) -> Found:
     late = prestress * (_SLOWLY * float(found.events["t"][0]) - 1.0)
     change = 0.01 * speed * late / (faster - prestress)
     middle = np.abs(found.broke["block"] - _PASSED // 2) < _PASSED // 4
-    steady = fronts_of({name: rows[middle] for name, rows in found.broke.items()})
+    steady = fronts_of(
+        {name: rows[middle] for name, rows in found.broke.items()}, chain
+    )
     errors = found.fronts["speed_stderr"][0], steady["speed_stderr"][0]
     stderr = math.hypot(*errors, _STEPS * speed)
     point = point._replace(chain=chain, contacts=point.shown.count, time=found.t[-1])

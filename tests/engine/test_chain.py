@@ -19,6 +19,7 @@ from eqsim import (
     Delta,
     Ensemble,
     InputError,
+    Normal,
     Programme,
     Segment,
     Stage,
@@ -38,6 +39,9 @@ HOT = Ensemble(thermal=Thermal(0.1), delay=Delay(1.0), count=400)
 # heat that never breaks a contact
 COLD = Ensemble(Delta(1.0), Thermal(0.1, attempt_frequency=1e-50), count=400)
 STOP = np.zeros(1, np.int64)
+
+
+CHAIN = Chain(12, 1.0, 0.1, damping=1.0)
 
 
 def programme(chain, time=40.0, speed=0.1, **how):
@@ -459,7 +463,7 @@ def test_fronts_are_straight_lines():
     t = 5.0 + np.abs(blocks - 3) / 2.0
     ones = np.ones(10, int)
     broke = {"replica": 0 * ones, "event": 4 * ones, "block": blocks, "t": t}
-    found = fronts_of(broke)
+    found = fronts_of(broke, CHAIN)
     rows = {name: column.tolist() for name, column in found.items()}
     assert rows.pop("speed") == [pytest.approx(2.0, rel=1e-12, abs=0)]
     assert rows.pop("speed_stderr")[0] < 1e-6
@@ -467,8 +471,33 @@ def test_fronts_are_straight_lines():
         **{"event": [4], "t": [5.0], "block": [3], "blocks": [8]},
         **{"direction": [1], "replica": [0]},
     }
-    none = fronts_of({name: column[:0] for name, column in broke.items()})
+    none = fronts_of({name: column[:0] for name, column in broke.items()}, CHAIN)
     assert none["speed"].size == 0
+
+
+def test_fronts_run_around_a_ring():
+    """From block 9 of a ring of 12 to the right through 8 blocks at a speed of 1, and,
+    where all break, to the left through 6 at half of it, from the far side as from the
+    near one: both end at the last block. A chain with ends has its own."""
+    ring = replace(CHAIN, edges="periodic")
+    for shift in range(12):
+        blocks = (shift + np.arange(9, 17)) % 12
+        broke = {"block": blocks, "t": np.arange(8.0)}
+        broke |= {name: np.zeros(8, int) for name in ("event", "replica")}
+        found = fronts_of(broke, ring)
+        assert found["block"].tolist() == [blocks[0]]
+        assert found["blocks"].tolist() == [8]
+        assert found["speed"] == pytest.approx(1.0, rel=1e-12, abs=0)
+        left = blocks[0] - np.arange(1, 5)
+        whole = {
+            "block": np.concatenate((blocks, left % 12)),
+            "t": np.concatenate((np.arange(8.0), 1.5 * np.arange(1.0, 5.0))),
+        }
+        whole |= {name: np.zeros(12, int) for name in ("event", "replica")}
+        found = fronts_of(whole, ring)
+        assert found["blocks"].tolist() == [8, 6]
+        assert found["direction"].tolist() == [1, -1]
+    assert fronts_of(broke | {"block": (9 + np.arange(8)) % 12}, CHAIN)["t"].size == 0
 
 
 def test_errors_of_fronts_have_the_unit_of_their_speed():
@@ -483,7 +512,7 @@ def test_errors_of_fronts_have_the_unit_of_their_speed():
     left = 0.5 * j + off - np.polyval(np.polyfit(j, 0.5 * j + off, 1), j)
     error = math.sqrt(left @ left / 8.0 / np.sum((j - 4.5) ** 2))
     for unit in (1.0, 1e3):
-        found = fronts_of(rows | {"t": unit * (0.5 * j + off)})
+        found = fronts_of(rows | {"t": unit * (0.5 * j + off)}, CHAIN)
         speed, stderr = 1.0 / (unit * slope), error / slope**2 / unit
         assert found["speed"].tolist() == [pytest.approx(speed, rel=1e-12, abs=0)]
         assert found["speed_stderr"].tolist() == [
@@ -491,7 +520,7 @@ def test_errors_of_fronts_have_the_unit_of_their_speed():
         ]
     wild = 0.05 * j - 5.0 * off
     assert np.polyfit(j, wild, 1)[0] > 0.0
-    assert fronts_of(rows | {"t": wild})["speed"].size == 0
+    assert fronts_of(rows | {"t": wild}, CHAIN)["speed"].size == 0
 
 
 def test_errors_of_fronts_hold_those_of_steps():
@@ -499,7 +528,7 @@ def test_errors_of_fronts_hold_those_of_steps():
     that these do not have, a third of it, to rounding."""
     j = np.arange(10)
     rows = {"replica": 0 * j, "event": 0 * j, "block": j}
-    fine, coarse = (fronts_of(rows | {"t": j / speed}) for speed in (2.0, 1.7))
+    fine, coarse = (fronts_of(rows | {"t": j / speed}, CHAIN) for speed in (2.0, 1.7))
     none = {name: column[:0] for name, column in coarse.items()}
     for theirs, error in ((coarse, 0.1), (none, 2.0 / 3.0), (fine, 0.0)):
         found = missing_steps(fine, theirs)["speed_stderr"][0]
@@ -515,6 +544,8 @@ def test_fronts_are_named_by_the_speed_of_waves():
     light = replace(run, chain=replace(damped, mass=2.0))
     found = [light.kind_of(speed) for speed in (0.39, 0.41, 3.9, 4.1)]
     assert found == ["slow", "fast", "fast", "supersonic"]
+    apart = replace(run, chain=Chain(2, 0.0, 0.25, mass=2.0, damping=1.0))
+    assert apart.kind_of(100.0) == "overdamped"
 
 
 def test_means_over_events_and_slip():
@@ -551,6 +582,43 @@ def test_means_over_events_and_slip():
     assert found.gini == 0.875
     rough = np.sqrt([2.5, 2.5, 6.5])
     assert found.roughness == pytest.approx(rough, rel=1e-14, abs=0)
+
+
+def test_events_of_a_motion_backwards_are_those_forwards():
+    """Contacts that begin without a stretch move backwards as forwards, to the last
+    bit: the force has the other sign, and drops, sizes and means are the same. Behind a
+    motion forwards, too, drops are along the drive, and peaks are negative."""
+    contacts = Ensemble(Normal(std=0.05), delay=Delay(4.0), count=120)
+    chain = Chain(3, 10.0, 1.0, drive="edge", mass=1.0, damping=0.3, tolerance=1e-2)
+
+    def events(*speeds):
+        pulled = Programme([Segment(v, time=600.0) for v in speeds], chain=chain)
+        run = trajectory(contacts, pulled, points=11)
+        assert run.static_friction.n == run.drop.n > 1
+        return run.events, run
+
+    forwards, run = events(0.02)
+    backwards, again = events(-0.02)
+    assert again.static_friction == run.static_friction
+    assert again.drop == run.drop
+    for name, column in forwards.items():
+        sign = -1.0 if name == "peak" else 1.0
+        np.testing.assert_array_equal(backwards[name], sign * column, err_msg=name)
+    both, _ = events(0.02, -0.02)
+    late = (both["t"] > 800.0) & (both["blocks"] == 3)
+    assert late.sum() > 1
+    assert both["peak"][late].max() < -0.4
+    assert both["drop"][late].min() > 0.0
+
+
+def test_creep_in_a_hold_is_no_event():
+    """Blocks that slid at .1 slow down in a hold: nothing is twice as fast as that."""
+    contacts = Ensemble(thermal=Thermal(0.1), delay=Delay(1.0), count=200)
+    chain = Chain(4, 1.0, 0.1, damping=0.3)
+    held = Programme(
+        [Segment(0.0, time=20.0)], start="stationary", velocity=0.1, chain=chain
+    )
+    assert trajectory(contacts, held, points=11).events["t"].size == 0
 
 
 RUN = """
@@ -635,13 +703,16 @@ def test_pictures_have_the_lines_of_fronts():
     events = {"blocks": 7, "t": 3.0, "peak": 1.0, "event": 0, "replica": 0}
     events |= {"ended": True}
     events = {name: np.array([value]) for name, value in events.items()}
-    lists = {"broke": broke, "events": events, "fronts": fronts_of(broke)}
-    made = replace(found, trajectory=replace(found.trajectory, **lists))
-    points, line = made.figures("")["fronts"].axes[1].lines
-    np.testing.assert_allclose(
-        points.get_xydata(), line.get_xydata(), rtol=0, atol=1e-12
-    )
-    assert line.get_ydata().tolist() == block.tolist()
+    for replica in (0, 1):  # the replica of the largest event is drawn
+        broke["replica"][:] = events["replica"][:] = replica
+        fronts = fronts_of(broke, found.trajectory.chain)
+        lists = {"broke": broke, "events": events, "fronts": fronts}
+        made = replace(found, trajectory=replace(found.trajectory, **lists))
+        points, line = made.figures("")["fronts"].axes[1].lines
+        np.testing.assert_allclose(
+            points.get_xydata(), line.get_xydata(), rtol=0, atol=1e-12
+        )
+        assert line.get_ydata().tolist() == block.tolist()
 
 
 def test_results_in_other_units():
