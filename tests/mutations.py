@@ -716,6 +716,8 @@ MISTAKES = [
     M("fits: another model of a record has no correction", "fitting/fit.py",
       "problem = record.corrected(problem, best.u)", "problem = record.settle_steps(problem, best.u)",
       "test_record.py::test_truth_is_recovered"),
+    M("rate and state: one of two free trends", "fitting/rate_and_state.py", 'trends["drift"] = "time"',
+      'trends = {"drift": "time"}', "test_rate_and_state.py::test_trends_of_contacts_hold_for_both_laws"),
     M("rate and state: fixed trends of contacts are fitted, too", "fitting/rate_and_state.py",
       "bare = table._replace(value=without_fixed(file, section, table))", "bare = table",
       "test_rate_and_state.py::test_trends_of_contacts_hold_for_both_laws"),

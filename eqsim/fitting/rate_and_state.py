@@ -3,7 +3,7 @@ chi-square as those of contacts."""
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -190,25 +190,26 @@ def fit_rate_and_state(
         raise InputError(f"fit.record: {said}")
     table = measured(file, section, None if data is None else Path(data), progress)
     stiffness = stiffness or section.record.machine_stiffness
-    problem = problem_of(file, table, law, trend, stiffness)
+    trends: dict[str, Trend] = {} if trend == "none" else {"trend": trend}
+    problem = problem_of(file, table, law, trends, stiffness)
     prepared = Prepared(file, section, table, problem, [])
     return _solved(prepared, starts, workers, progress)
 
 
 def beside(file: RunFile, law: StateLaw, data: Path | None) -> RateAndStateFit:
     """Fit rate-and-state friction to a record as the contacts of a run file are fitted:
-    less offsets and trends that are fixed, and with a trend where they have a free one.
+    less offsets and trends that are fixed, and with those trends that are free.
     Raises InputError."""
     section = section_of(file)
     assert section.record is not None
     table = measured(file, section, data)
-    trend: Trend = "none"
+    trends: dict[str, Trend] = {}
     if section.trend is not None and "fit.trend" in section.free:
-        trend = section.trend.per
-    elif "fit.drift" in section.free:
-        trend = "time"
+        trends["trend"] = section.trend.per
+    if "fit.drift" in section.free:
+        trends["drift"] = "time"
     bare = table._replace(value=without_fixed(file, section, table))
-    problem = problem_of(file, bare, law, trend, section.record.machine_stiffness)
+    problem = problem_of(file, bare, law, trends, section.record.machine_stiffness)
     return _solved(Prepared(file, section, table, problem, []))
 
 
@@ -237,11 +238,12 @@ def problem_of(
     file: RunFile,
     table: Measurements,
     law: StateLaw,
-    trend: Trend,
+    trends: Mapping[str, Trend],
     stiffness: float | None = None,
 ) -> Problem:
     """The fit of a record, with bounds and starts in its own units; the stiffness of the
-    machine is free unless it is given. Raises InputError."""
+    machine is free unless it is given, and so are `trends` by name. Raises
+    InputError."""
     programme, t = programme_of(file), table.time
     assert t is not None
     require_programme(programme, t)
@@ -259,11 +261,11 @@ def problem_of(
         Parameter("mu_0", "linear", -10.0 * unit, 10.0 * unit, unit, linear=True),
     ]
     nuisance = {"mu_0": np.ones(t.size)}
-    if trend != "none":
-        x = along[trend]
-        nuisance["trend"] = x - x[0]
+    for name, per in trends.items():
+        x = along[per]
+        nuisance[name] = x - x[0]
         most = 10.0 * unit / float(np.ptp(x))
-        parameters.append(Parameter("trend", "linear", -most, most, 0.0, linear=True))
+        parameters.append(Parameter(name, "linear", -most, most, 0.0, linear=True))
     return Problem(
         forward=RateAndStateForward(file, t, stiffness, 1.0, law=law),
         parameters=parameters,

@@ -283,7 +283,7 @@ def test_both_laws_beside_contacts(tmp_path):
     assert (tmp_path / "out" / "rate-and-state.png").exists()
 
 
-@pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize("free", [(), ("trend",), ("trend", "drift")])
 def test_trends_of_contacts_hold_for_both_laws(tmp_path, monkeypatch, free):
     """A record of the law and a trend of 1e-3 per displacement: where that is fixed for
     the contacts what is fitted is the law's friction, to the rounding of 12 digits;
@@ -297,12 +297,16 @@ def test_trends_of_contacts_hold_for_both_laws(tmp_path, monkeypatch, free):
     content = deepcopy(record_of(tmp_path / "step.csv", **how).given)
     content["fit"]["trend"] = {"per": "displacement", "value": 1e-3}
     if free:
-        content["fit"]["free"] = {"fit.trend": {"bounds": [-1.0, 1.0]}}
+        names = [f"fit.{name}" for name in free]
+        content["fit"]["free"] = {key: {"bounds": [-1.0, 1.0]} for key in names}
     monkeypatch.setattr(rate_and_state, "_solved", lambda prepared: prepared.problem)
     problem = rate_and_state.beside(check(content, tmp_path), "slip", None)
     fitted = mu + trend if free else mu
     np.testing.assert_allclose(problem.value, fitted, rtol=0, atol=1e-11)
-    assert ("trend" in problem.nuisance) == free
+    along = {"trend": step.position(t), "drift": t}
+    assert set(problem.nuisance) == {"mu_0", *free}
+    for name in free:
+        np.testing.assert_array_equal(problem.nuisance[name], along[name])
 
 
 CSV = ("rsf", str(RUNS / "basalt-velocity-step.csv"))
