@@ -11,6 +11,9 @@ from eqsim import catalogue
 from eqsim.numerics.tables import Array
 from eqsim.results import Result, new_axes
 
+# Student probability below which its logarithm is taken: numbers end at 1e-308.
+_LEAST_TAIL = 1e-300
+
 
 @dataclass(frozen=True, repr=False)
 class Estimate:
@@ -241,7 +244,19 @@ def score(first: Estimate, second: Estimate) -> float | None:
     z, dof = difference(first, second), _joint_dof(first, second)
     if z is None or dof is None:
         return z
-    return math.copysign(float(-special.ndtri(special.stdtr(dof, -abs(z)))), z)
+    tail = float(special.stdtr(dof, -abs(z)))
+    if tail < _LEAST_TAIL:
+        return math.copysign(float(-special.ndtri_exp(_log_tail(abs(z), dof))), z)
+    return math.copysign(float(-special.ndtri(tail)), z)
+
+
+def _log_tail(t: float, dof: float) -> float:
+    """ln P(T > t) of Student's law far out, without the factor 2F1(1/2, 1; dof/2 + 1;
+    -dof/t^2), which lies between 1 - 1/t^2 and 1 (derived). A normal score z is off by
+    less than 1/(z t^2) for it: 2e-5 where P underflows, as t > z > 37 there."""
+    near = dof * math.log(math.hypot(1.0, t / math.sqrt(dof)))
+    beyond = 0.5 * math.log1p(dof / t / t) - math.log(dof)
+    return beyond - near - float(special.betaln(0.5 * dof, 0.5))
 
 
 def _joint_dof(first: Estimate, second: Estimate) -> float | None:

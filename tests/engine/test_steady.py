@@ -9,6 +9,7 @@ import itertools
 import math
 from types import SimpleNamespace
 
+import mpmath
 import numpy as np
 import pytest
 import scipy.stats
@@ -701,6 +702,28 @@ def test_student_scores():
     )
     assert z_score(Estimate(1.0, 0.0, 100), 1.0) is None
     assert z_score(Estimate(1.0, 0.5, 100), 0.0) == 2.0
+
+
+@pytest.mark.parametrize(
+    ("t", "dof"), [(60.0, 999), (1e3, 200), (45.0, 1e4), (1e156, 2), (38.0, 1e7)]
+)
+def test_student_scores_far_out(t, dof):
+    """Probabilities below 1e-308 have scores, too: against the integral of Student's
+    density with 40 digits, and where the two forms of the tail meet."""
+    with mpmath.workdps(40):
+        x = 1 / (1 + mpmath.mpf(t) ** 2 / dof)
+        half = mpmath.mpf(1) / 2
+        log_tail = mpmath.log(
+            mpmath.betainc(mpmath.mpf(dof) / 2, half, 0, x, regularized=True) / 2
+        )
+        exact = mpmath.findroot(
+            lambda z: mpmath.log(mpmath.erfc(z / mpmath.sqrt(2)) / 2) - log_tail,
+            mpmath.sqrt(-2 * log_tail),
+        )
+    found = z_score(Estimate(t, 1.0, 100, dof), 0.0)
+    # 1/(z t^2) with t > z > 37, by the factor of the tail that is left out
+    assert 0.0 <= float(exact) - found < 2e-5
+    assert z_score(Estimate(-t, 1.0, 100, dof), 0.0) == -found
 
 
 @chosen(
