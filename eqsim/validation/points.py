@@ -137,7 +137,7 @@ def sample(
             ensemble = replace(ensemble, thresholds=NoThresholds(unit))
         if not _has_mean_rates(ensemble):
             ensemble = replace(ensemble, stiffness_law="uniform")
-        if index % step != first:
+        if index not in range(first, count, step):
             continue  # before lives are sampled, which takes time
         if delay:
             time = delay * typical_life(ensemble, v * unit) / (v * unit)

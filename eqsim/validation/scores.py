@@ -159,16 +159,20 @@ def _held(ensemble: Ensemble, v: float, sampled: Steady) -> Ensemble:
 def averages(point: Point, sampled: Steady) -> Found:
     """Steady averages, to a relative error of 1e-4, or of `langevin` contacts from
     65 536 lives, against the reference."""
-    exact = reference(point.ensemble, Drive(point.velocity), variance=True).averages()
+    exact = reference(point.ensemble, Drive(point.velocity), variance=True)
     scores: Found = []
-    for name, ours in sampled.averages().items():
-        theirs = exact[name]
-        if name not in sampled.shown or theirs.value is None:
+    for name, theirs in exact.averages().items():
+        ours = getattr(sampled, name)
+        if theirs.value is None:
+            scores += point.without((name,), "no reference")
             continue
-        if ours.stderr == theirs.stderr == 0.0:
+        if name not in exact.shown:
+            continue  # born unstretched: travel is the stretch at breaking
+        if ours.value == theirs.value and ours.stderr == theirs.stderr == 0.0:
             continue  # pinned without delay: 1, exactly
-        if not ours.reliable:
-            scores += point.without((name,), "unreliable")
+        if ours.value is None or not ours.reliable:
+            reason = "unreliable" if not ours.reliable else "refused"
+            scores += point.without((name,), reason)
             continue
         response = abs(known(ours)) * (1.0 - known(ours) if name == "pinned" else 1.0)
         hidden, stderr = sampled.hidden * response, ours.stderr or 0.0

@@ -93,6 +93,7 @@ class Validation:
 
     def __repr__(self) -> str:
         said = "passed" if self.passed else "FAILED"
+        said = said if self.scores else "nothing compared"
         count = f"{len(self.scores)} comparisons"
         return f"Validation(suite {self.suite}, seed {self.seed}: {said}, {count})"
 
@@ -105,9 +106,10 @@ class Validation:
 
     @property
     def passed(self) -> bool:
-        """True if every kind passes, and the program declined no more comparisons of any
-        kind than were scored."""
-        return all(verdict.passed for verdict in self.verdicts) and not self.declined
+        """True if anything was compared, every kind passes, and the program declined no
+        more comparisons of any kind than were scored."""
+        kinds = all(verdict.passed for verdict in self.verdicts)
+        return bool(self.scores) and kinds and not self.declined
 
     @property
     def declined(self) -> list[str]:
@@ -138,9 +140,9 @@ def declined(kind: str, count: int, left: dict[str, dict[str, int]]) -> bool:
 
 
 def p_overall(verdicts: list[Verdict]) -> float:
-    """`Validation.p_overall` of these verdicts."""
+    """`Validation.p_overall` of these verdicts; 1 if nothing was compared."""
     pairs = [(v.p_chi_square, v.p_largest) for v in verdicts if v.count]
-    return min(1.0, 2 * len(pairs) * min(map(min, pairs), default=1.0))
+    return min(1.0, 2 * len(pairs) * min(map(min, pairs))) if pairs else 1.0
 
 
 def judge(kind: str, scores: list[Score]) -> Verdict:
@@ -159,6 +161,15 @@ def judge(kind: str, scores: list[Score]) -> Verdict:
     passed = bool(p_square > ALARM and p_largest > ALARM)
     sizes = kind, z.size, even.size
     return Verdict(*sizes, total, p_square, largest, p_largest, passed)
+
+
+def _part_of(part: Part | tuple[int, int], points: int) -> Part:
+    """A part of a suite of so many points. Raises InputError."""
+    whole = isinstance(part, tuple | list) and [type(n) for n in part] == [int, int]
+    if not (whole and 0 <= part[0] < points and part[1] >= 1):
+        said = f"must be integers (i, m) with i from 0 to {points - 1} and m from 1 on"
+        raise InputError(f"part = {shown(part)}: {said}")
+    return Part(*part)
 
 
 def validate(
@@ -185,8 +196,8 @@ def validate(
         Changes the ensemble that the engine sees but not the reference's, to check that
         the suite then fails.
     part : Part or (int, int)
-        (i, m) does every m-th point from the i-th on; the scores of all parts are those
-        of the suite.
+        (i, m) does every m-th point from the i-th on, of those from 0; the scores of
+        the parts (0, m) to (m - 1, m) are those of the suite.
     progress : callable, optional
         Called with the number of points done and of all.
 
@@ -210,10 +221,8 @@ def validate(
     """
     require_choice("suite", suite, (*SUITES,))
     Output(seed=seed)
-    plan, (first, step), every = SUITES[suite], part, Found()
-    if first < 0 or step < 1:
-        said = "must be (i, m) with i from 0 and m from 1 on"
-        raise InputError(f"part = {shown(tuple(part))}: {said}")
+    plan, every = SUITES[suite], Found()
+    part = first, step = _part_of(part, plan.points + plan.chains)
     linked = range(first, plan.chains, step)
     total = len(range(first, plan.points, step)) + len(linked)
     drawn_at = sample(plan.points, seed, part, plan.solids)

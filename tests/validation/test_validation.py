@@ -5,6 +5,7 @@ import dataclasses
 import itertools
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -290,6 +291,53 @@ def test_signs_of_scores(wrong):
     )
 
 
+def without(name, reliable=True):
+    """Averages of which one has no value."""
+    return {name: Estimate(None, None, 0, None, reliable)}
+
+
+def exactly(name, value):
+    return {name: Estimate(value, 0.0, 0)}
+
+
+@pytest.mark.parametrize(
+    ("of_engine", "of_reference", "kind", "said"),
+    [
+        ({}, without("force_variance"), "force_variance", "no reference"),
+        (without("force_variance"), {}, "force_variance", "refused"),
+        (without("friction", reliable=False), {}, "friction", "unreliable"),
+        (exactly("birth_stretch", 0.0), {}, "birth_stretch", math.inf),
+        (exactly("pinned", 0.9), {}, "pinned", math.inf),
+        (exactly("pinned", 1.0), {}, "pinned", None),
+    ],
+    ids=[
+        "no reference",
+        "no value",
+        "none seen",
+        "no births",
+        "not all pinned",
+        "all pinned",
+    ],
+)
+def test_no_average_is_dropped(of_engine, of_reference, kind, said, monkeypatch):
+    """Each is scored, or left out with its reason: also one that an engine does not
+    give, or that it gives without an error. Only one that has none in both and is the
+    same, or that says nothing of contacts born unstretched, is not asked for."""
+    contacts = Ensemble(newborn=Newborn("delta", stretch=0.1))
+    sampled = steady(contacts, Drive(0.1), rel_error=1e-2)
+    exact = reference(contacts, Drive(0.1), variance=True)
+    changed = dataclasses.replace(exact, **of_reference)
+    monkeypatch.setattr(scores, "reference", lambda *_, **__: changed)
+    found = averages(at(contacts, 0.1), dataclasses.replace(sampled, **of_engine))
+    assert {one.kind for one in found} | {"pinned", "birth_stretch"} == set(OBSERVABLES)
+    got = [
+        one.z if isinstance(one, Score) else one.reason
+        for one in found
+        if one.kind == kind
+    ]
+    assert got == ([] if said is None else [said])
+
+
 def test_contacts_of_a_laboratory(monkeypatch):
     """A share of those that heat breaks, here half of 240 (to 5 standard deviations),
     with barriers and attempts as they should be; the others are as without."""
@@ -539,7 +587,13 @@ def test_errors_that_are_bounds_do_not_count_as_scatter():
     ("what", "said"),
     [
         ({"seed": -1}, "seed = -1: must be an integer from 0"),
-        ({"part": (0, 0)}, r"part = \(0, 0\): must be \(i, m\)"),
+        ({"part": (0, 0)}, r"part = \(0, 0\): must be integers \(i, m\)"),
+        ({"part": (-1, 4)}, r"part = \(-1, 4\): must be integers \(i, m\)"),
+        ({"part": (32, 33)}, r"part = \(32, 33\): .* with i from 0 to 31"),
+        ({"part": (0.5, 2)}, r"part = \(0.5, 2\): must be"),
+        ({"part": (0,)}, r"part = \(0,\): must be"),
+        ({"part": "ab"}, "part = 'ab': must be"),
+        ({"part": 3}, "part = 3: must be"),
     ],
 )
 def test_what_is_no_seed_or_part(what, said):
@@ -561,6 +615,21 @@ def test_too_many_refused():
         result = Validation("quick", 1, [score] * 9, verdicts, unscored)
         assert result.declined == declined
         assert result.passed == (not declined)
+
+
+def test_nothing_compared_does_not_pass():
+    """Verdicts without scores are no evidence, and no p-value is small."""
+    result = Validation("quick", 1, [], [judge(kind, []) for kind in KINDS], [])
+    assert not result.passed
+    assert result.p_overall == 1.0
+    assert "nothing compared" in repr(result)
+
+
+def test_every_part_has_points():
+    """A part begins at its first point, also one beyond its step."""
+    for part in ((1, 4), (5, 4), (11, 40)):
+        drawn = [index for index, *_ in sample(12, 5, part)]
+        assert drawn == list(range(part[0], 12, part[1]))
 
 
 def test_an_engine_that_refuses_everything_does_not_pass(monkeypatch):
@@ -816,6 +885,55 @@ def test_holds_of_few_contacts(compare, wrong, monkeypatch):
     assert all(passes(pulled_scores(compare, hot, count)).values())
     as_if(monkeypatch, wrong)
     assert not any(passes(pulled_scores(compare, hot, count)).values())
+
+
+def single_contacts(monkeypatch, replicas, smaller=1.0):
+    """Scores of every number of single contacts that may be pinned after a hold of so
+    many replicas, and their probabilities; errors are quoted `smaller` than they
+    are."""
+    plan, scores = Suite(0, 0, replicas=replicas), []
+    point = at(Ensemble(Gamma(1.0), Thermal(0.1)), 0.1, seed=5)
+    counts = np.arange(replicas + 1)
+    for count in counts:
+        share = count / replicas
+        scatter = math.sqrt(share * (1.0 - share) / (replicas - 1))
+        error = smaller * max(scatter, 2.0 / replicas)  # as the slider quotes it
+        run = SimpleNamespace(pinned=[share], pinned_stderr=[error])
+        monkeypatch.setattr(pulled, "_slide", lambda *_, run=run: run)
+        scores += made(pulled.holds(point, plan))
+    assert {score.count for score in scores} == {1}
+    share = scores[0].reference
+    assert 0.2 < share < 0.8
+    return np.array([score.z for score in scores]), stats.binom.pmf(
+        counts, replicas, share
+    )
+
+
+@pytest.mark.parametrize("replicas", [60, 200])
+def test_single_contacts_score_as_normal_numbers_do(replicas, monkeypatch):
+    """Of all outcomes of a hold, weighted with their exact probabilities, no more score
+    beyond 3.9, 4.3 and 4.7 than of normal numbers, and scores spread as these do, to
+    the 6 % by which Student's law of 59 degrees of freedom shrinks them; by the scatter
+    of the sample alone it is twice to ten times as many. With errors a third as large
+    one in ten is beyond 3.9."""
+    z, chance = single_contacts(monkeypatch, replicas)
+    for far in (3.9, 4.3, 4.7):
+        assert chance[np.abs(z) > far].sum() < 2.0 * stats.norm.sf(far)
+    assert 0.94 < chance @ z**2 - (chance @ z) ** 2 < 1.0
+    z, chance = single_contacts(monkeypatch, replicas, 1.0 / 3.0)
+    assert chance[np.abs(z) > 3.9].sum() > 0.1
+
+
+@pytest.mark.parametrize("kT", [0.01, 10.0])
+def test_holds_without_breaks_or_contacts_are_left_out(kT):
+    """Contacts that stay for the longest hold leave nothing to compare, nor do those
+    of which few survive the shortest."""
+    heat = Thermal(kT, 1e-9 if kT < 1.0 else 1e9)
+    point = at(Ensemble(Delta(1.0), heat, stiffness_law="uniform"), 0.1)
+    for compare in (pulled.holds, pulled.pieces):
+        (found,) = compare(point, QUICK)
+        assert isinstance(found, Unscored)
+        assert found.reason == "few contacts"
 
 
 def test_shares_that_coincide_are_not_too_good_to_be_true(monkeypatch):
