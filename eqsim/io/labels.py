@@ -100,9 +100,16 @@ def axis(
         return plain(name)
     if fractions and _is_fraction(name):
         return f"{entry.words} over threshold"
+    return with_unit(entry.mathtext, column_unit(name, units, stress, unknown))
+
+
+def column_unit(
+    name: str, units: Units, stress: str = "", unknown: bool = False
+) -> str:
+    """The unit of a column on its `axis`; "" if it is not known, unless `unknown`."""
+    entry = catalogue.entry(name) or catalogue.Entry()
     unit = entry.fixed_unit or (stress if entry.dimension == STRESS else "")
-    unit = unit or unit_text(units, entry.dimension, unknown)
-    return with_unit(entry.mathtext, unit)
+    return unit or unit_text(units, entry.dimension, unknown)
 
 
 def of_trajectory(x: str, units: Units) -> dict[str, str]:

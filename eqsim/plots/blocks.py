@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from eqsim.engine.records import ElasticTrajectory
 
 _BRIGHTEST = 0.999  # quantile of an image at which its scale ends
-_MOST_PIXELS = 1000  # pixels of an image along each side
+_MOST_PIXELS = 440  # pixels of an image along each side, fewer than a panel has
 
 
 @styled
@@ -41,7 +41,8 @@ def elastic_figure(
     caption.beside(top)
     top.set_title(caption.heading)
     top.legend(loc="lower right")
-    low.plot(along, _in_space(run, "X").std(axis=1), color="C2")
+    spread = np.sqrt(_in_space(run, "X").var(axis=2).mean(axis=0))
+    low.plot(along, spread, color="C2")
     low.set(xlabel=caption.along(name), xlim=(along[0], along[-1]), ylim=(0, None))
     low.set_ylabel(caption.unit("spread of $X$\nbetween blocks"))
     return figure
@@ -71,7 +72,8 @@ def avalanches_figure(
     right.set(ylabel="blocks that take part")
     rows, columns = starts.shape
     if rows > 1:
-        _image(where, starts, (columns, rows), "avalanches that start there")
+        label, what = "avalanches that start there", ("rows", "columns")
+        _image(where, starts, (columns, rows), label, counts_of=what)
         where.set(xlabel="column", ylabel="row")
     else:
         mean, root = starts.mean(), 2 * np.sqrt(starts.mean())
@@ -97,7 +99,7 @@ def fronts_figure(
     sheet = ny > 1
     figure = Figure(figsize=(10, 8.4 if sheet else 4.6))
     above, *below = figure.subplots(1 + sheet, 2, squeeze=False)
-    X, breaks = _in_space(run, "X"), _in_space(run, "breaks")
+    X, breaks, forces = (_in_space(run, name)[0] for name in ("X", "breaks", "force"))
     row = slice(ny // 2 * nx, (ny // 2 + 1) * nx)
     beyond, active = X - X.mean(axis=1, keepdims=True), np.diff(breaks, axis=0)
     label = caption.unit("$X$ beyond the mean of all blocks")
@@ -105,28 +107,27 @@ def fronts_figure(
     even = np.ptp(steps) < 1e-6 * steps.max()
     size = nx, float(run.D[-1]) if even else float(run.D.size)
     _image(above[0], beyond[:, row], size, label, spread=True)
-    _image(above[1], active[:, row], size, "breaks between two records")
+    counts: dict[str, Any] = {"counts_of": ("intervals", "blocks")}
+    _image(above[1], active[:, row], size, "breaks between two records", **counts)
     plate = caption.length("displacement of the plate  $D$") if even else "record"
     for axes in above:
         axes.set(xlabel=f"block of row {ny // 2}" if sheet else "block", ylabel=plate)
     for left, right in below:
-        last, force = (
-            values[-1].reshape(ny, nx) for values in (beyond, _in_space(run, "force"))
-        )
+        last, force = (values[-1].reshape(ny, nx) for values in (beyond, forces))
         _image(left, last, (nx, ny), f"{label}, at the end", spread=True)
         label = caption.unit("force $F / (n k)$, at the end")
         _image(right, force, (nx, ny), label)
         for axes in (left, right):
             axes.set(xlabel="column", ylabel="row")
-    figure.suptitle(caption.heading)
+    one = f"\nthe first of {caption.replicas} replicas" * (caption.replicas > 1)
+    figure.suptitle(f"{caption.heading}{one}")
     return figure
 
 
 def _in_space(run: "ElasticTrajectory", name: str) -> Array:
-    """A column of the records of B blocks, first replica only, shape (points, B)."""
-    points = run.D.size
+    """A column of the records of B blocks, shape (replicas, points, B)."""
     blocks = int(run.blocks["block"][-1]) + 1
-    return np.asarray(run.blocks[name][: points * blocks].reshape(points, blocks))
+    return np.asarray(run.blocks[name].reshape(-1, run.D.size, blocks))
 
 
 def _image(
@@ -135,19 +136,37 @@ def _image(
     size: tuple[float, float],
     label: str,
     spread: bool = False,
+    counts_of: tuple[str, str] | None = None,
 ) -> None:
-    """Draw values over space and time, or over space, thinned to what can be seen;
-    `size` is that of all of them in the units of the axes."""
-    rows, columns = (max(1, -(-count // _MOST_PIXELS)) for count in values.shape)
-    values = values[::rows, ::columns]
+    """Draw values over space and time, or over space, thinned to what can be seen, or
+    summed if they are counts in rows and columns of what `counts_of` names; `size` is
+    that of all of them in the units of the axes."""
+    whole = values.shape
+    each = [max(1, -(-count // _MOST_PIXELS)) for count in whole]
+    if counts_of:
+        for axis, step in enumerate(each):
+            begins = np.arange(0, whole[axis], step)
+            values = np.add.reduceat(values, begins, axis)
+        sums = zip(each, counts_of, strict=True)
+        summed = " × ".join(f"{step} {name}" for step, name in sums if step > 1)
+        label += f",\nsums over {summed}" * bool(summed)
+    values = values if counts_of else values[:: each[0], :: each[1]]
     limit = float(np.abs(values).max(initial=0.0)) or 1.0
     look: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
     if not spread:  # a few large values would leave all others in the dark
         bright = float(np.quantile(values, _BRIGHTEST)) or 1.0
         look = {"cmap": "magma", "vmin": values.min(), "vmax": bright}
-    place: dict[str, Any] = {"origin": "lower", "extent": (0.0, size[0], 0.0, size[1])}
+    # the last pixels may reach beyond the last value
+    tall, wide = (
+        length * shown * step / count
+        for length, shown, step, count in zip(
+            size[::-1], values.shape, each, whole, strict=True
+        )
+    )
+    place: dict[str, Any] = {"origin": "lower", "extent": (0.0, wide, 0.0, tall)}
     how: dict[str, Any] = {"aspect": "auto", "interpolation": "nearest"}
     image = axes.imshow(values, **place, **how, **look)
+    axes.set(xlim=(0.0, size[0]), ylim=(0.0, size[1]))
     axes.grid(False)
     ends = "neither" if spread else "max"
     axes.figure.colorbar(image, ax=axes, label=label, extend=ends)

@@ -6,6 +6,8 @@ import numpy as np
 from matplotlib import animation
 from matplotlib.figure import Figure
 
+from eqsim.catalogue import RATE, TIME, VELOCITY
+from eqsim.io.labels import unit_text
 from eqsim.plots.panels import DOTS, Caption
 from eqsim.plots.style import styled
 
@@ -24,10 +26,11 @@ def chain_figure(run: "ChainTrajectory", caption: Caption) -> Figure:
     top.plot(run.t, run.spring, label="springs that drive")
     top.plot(run.t, run.force, color="C1", linewidth=0.8, label="contacts")
     events = run.events
+    one = f", in one of {caption.replicas} replicas" * (caption.replicas > 1)
     whole = events["blocks"] == run.chain.count
     for chosen, label, marker in (
-        (whole, "event of all blocks", "v"),
-        (~whole & events["ended"], "precursor", "|"),
+        (whole, f"event of all blocks{one}", "v"),
+        (~whole & events["ended"], f"precursor{one}", "|"),
     ):
         if chosen.any():
             place = events["t"][chosen], events["peak"][chosen]
@@ -35,7 +38,7 @@ def chain_figure(run: "ChainTrajectory", caption: Caption) -> Figure:
     top.set(ylabel=caption.force, ylim=(min(0.0, run.spring.min()), None))
     caption.beside(top)
     top.set_title(caption.heading)
-    top.legend(loc="lower right")
+    top.legend(loc="lower right", title=caption.means or None)
     low.plot(run.t, run.roughness, color="C2")
     low.set(xlabel=caption.along("t"), xlim=(run.t[0], run.t[-1]), ylim=(0, None))
     low.set_ylabel(caption.unit("spread of $X$\nbetween blocks"))
@@ -57,11 +60,14 @@ def fronts_figure(run: "ChainTrajectory", caption: Caption) -> Figure:
     )
     left.plot(broke["t"], broke["block"], ".", color="C0", markersize=3)
     left.set(xlabel=caption.along("t"), ylabel="block", xlim=(run.t[0], run.t[-1]))
-    left.set(ylim=(-0.5, count - 0.5), title="blocks that break")
+    one = f", replica {replica}" * (caption.replicas > 1)
+    left.set(ylim=(-0.5, count - 0.5), title=f"blocks that break{one}")
     here = broke["event"] == largest
     begin = float(broke["t"][here].min())
     right.plot(broke["t"][here] - begin, broke["block"][here], **DOTS)
     mine = np.flatnonzero(fronts["event"] == largest)
+    rate = unit_text(caption.units, RATE, unknown=False) or "1/time"
+    unit = f"blocks {rate}".replace(" 1/", "/")
     for color, i in zip(("C3", "C1"), mine, strict=False):
         speed, error = fronts["speed"][i], fronts["speed_stderr"][i]
         steps = np.arange(fronts["blocks"][i])
@@ -70,9 +76,10 @@ def fronts_figure(run: "ChainTrajectory", caption: Caption) -> Figure:
         blocks = np.where(
             np.abs(np.diff(blocks, prepend=blocks[0])) > 1, np.nan, blocks
         )
-        label = f"{speed:.3g} ± {error:.1g} blocks/time, {run.kind_of(speed)}"
+        label = f"{speed:.3g} ± {error:.1g} {unit}, {run.kind_of(speed)}"
         right.plot(along, blocks, color=color, linewidth=1, label=label)
-    right.set(xlabel="time since the first block broke", ylabel="block")
+    since = caption.unit("time since the first block broke", TIME, unknown=True)
+    right.set(xlabel=since, ylabel="block")
     right.set(ylim=(-0.5, count - 0.5), title="the largest event")
     if mine.size:
         right.legend(loc="best")
@@ -97,13 +104,15 @@ def animation_of(run: "ChainTrajectory", caption: Caption) -> Any:
     for axes, column in ((top, force), (low, V)):
         axes.set_ylim(min(0.0, column.min()), 1.05 * max(column.max(), 1e-300))
     top.set(ylabel=caption.force, title=caption.heading)
-    low.set(xlabel="block", ylabel="velocity of the block")
+    velocity = caption.unit("velocity of the block", VELOCITY, unknown=True)
+    low.set(xlabel="block", ylabel=velocity)
+    unit = unit_text(caption.units, TIME, unknown=False)
     clock = top.text(0.02, 0.9, "", transform=top.transAxes)
 
     def show(record: int) -> list[Any]:
         lines[0].set_ydata(force[record])
         lines[1].set_ydata(V[record])
-        clock.set_text(f"t = {run.t[record]:.4g}")
+        clock.set_text(f"$t$ = {run.t[record]:.4g} {unit}".rstrip())
         return [*lines, clock]
 
     records = np.unique(np.linspace(0, run.t.size - 1, _MOST_FRAMES).astype(int))

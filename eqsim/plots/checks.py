@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from eqsim.catalogue import AREA, LENGTH
+from eqsim.catalogue import AREA, LENGTH, RATE
 from eqsim.plots.panels import DOTS, Caption
 from eqsim.plots.style import styled
 
@@ -24,15 +24,21 @@ def modes_figure(modes: "Modes", caption: Caption) -> Figure:
     this chain."""
     figure = Figure(figsize=(7, 4.6))
     axes = figure.subplots()
-    axes.plot(modes.wave_number, modes.growth, marker=".", label="perturbations")
+    wave_number, growth = modes.wave_number, modes.growth
+    if modes.softest.value is not None:  # the line leads through it
+        place = np.searchsorted(wave_number, modes.lowest)
+        wave_number = np.insert(wave_number, place, modes.lowest)
+        growth = np.insert(growth, place, modes.softest.value)
+    axes.plot(wave_number, growth, marker=".", label="perturbations")
     look: dict[str, Any] = {"color": "C3", "alpha": 0.15, "linewidth": 0}
-    above = np.maximum(modes.growth, 0.0)
-    axes.fill_between(modes.wave_number, 0.0, above, label="grow", **look)
+    look |= {"where": growth > 0.0, "interpolate": True, "label": "grow"}
+    axes.fill_between(wave_number, 0.0, growth, **look)
     if modes.softest.value is not None:
         label = f"softest mode of this chain, {modes.verdict}"
         axes.plot(modes.lowest, modes.softest.value, "k*", markersize=12, label=label)
     axes.axhline(0.0, color="0.5", linewidth=0.8)
-    axes.set(xlabel="wave number  $q$  [1/block]", ylabel="growth rate  [1/time]")
+    rate = caption.unit("growth rate", RATE, unknown=True)
+    axes.set(xlabel="wave number  $q$  [1/block]", ylabel=rate)
     axes.set_title(caption.heading)
     axes.legend()
     return figure

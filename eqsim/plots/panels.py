@@ -63,6 +63,12 @@ class Caption(NamedTuple):
         return with_unit(text, unit_text(self.units, dimension, unknown))
 
     @property
+    def means(self) -> str:
+        """Title of a legend of lines that are means over replicas; "" of a single
+        one."""
+        return f"means of {self.replicas} replicas" if self.replicas > 1 else ""
+
+    @property
     def band(self) -> str:
         """Legend of a force with its error band."""
         if self.replicas > 1:
@@ -124,11 +130,13 @@ def draw_sizes(
         exact = "infinitely many contacts, exact"
         axes.plot(np.arange(1, law.size + 1), law, color="k", label=exact)
     lowest = max(0.2 * density.min(initial=1.0), 1e-300)
-    axes.set(xlim=(0.8, 1.3 * most), ylim=(lowest, 2.0), xscale="log", yscale="log")
+    highest = 2.0 * density.max(initial=1.0)
+    axes.set(xscale="log", yscale="log", ylim=(lowest, highest))
+    axes.set_xlim(0.8, 1.3 * most)
     return edges, centre
 
 
-def legend_below(figure: Figure, drawn: dict[str, Any]) -> None:
+def legend_below(figure: Figure, drawn: dict[str, Any], title: str = "") -> None:
     """Show a legend below all panels, where it covers nothing."""
     place: dict[str, Any] = {"loc": "outside lower center", "frameon": False}
-    figure.legend([*drawn.values()], [*drawn], ncols=2, **place)
+    figure.legend([*drawn.values()], [*drawn], ncols=2, title=title or None, **place)

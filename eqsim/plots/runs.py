@@ -6,8 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eqsim.catalogue import TIME, VELOCITY
+from eqsim.catalogue import LENGTH, TIME, VELOCITY
 from eqsim.estimate import Estimate
+from eqsim.io.labels import unit_text
 from eqsim.numerics.tables import Array
 from eqsim.plots.panels import (
     EXACT,
@@ -33,6 +34,12 @@ _MOST_MARKS = 60  # segments or slips that are marked
 # than that by a factor of `_LONG_RUN`.
 _FIRST_THRESHOLDS = 6.0
 _LONG_RUN = 4.0
+# What pulls a slider in a legend, and what else has the same line.
+_PULLS = {
+    "stage": ("force of the spring", "; displacement of the stage"),
+    "force": ("driving force", ""),
+    "motor": ("force of the motor", ""),
+}
 _MEAN = "exact mean (renewal equation)"
 _STEADY = "steady value (renewal-reward), ± 2 standard errors"
 
@@ -175,32 +182,32 @@ def slider_figure(
     run: "SliderTrajectory",
     exact: "Transient | None",
     caption: Caption,
-    forced: bool = False,
+    pulled_by: str = "stage",
 ) -> Figure:
-    """Draw the force of the spring and friction against t, with slips marked; slider
-    and stage against t; and the force of the spring against the velocity of the slider.
-    If the slider is `forced`, the force that drives it and the slider against t."""
-    count = 2 if forced else 3
-    figure = Figure(figsize=(9, 6.0 if forced else 8.8))
+    """Draw the force that pulls and friction against t, with slips marked; slider and
+    stage against t; and, unless the slider is `pulled_by` a "force", the force of the
+    spring of a "stage", or of a "motor" alone, against the velocity of the slider."""
+    count = 2 if pulled_by == "force" else 3
+    figure = Figure(figsize=(9, 6.0 if count == 2 else 8.8))
     panels = figure.subplots(count, 1, height_ratios=[1.2, 1.0, 1.2][:count])
     force, displacement = panels[:2]
-    driven = "force of the spring; displacement of the stage"
-    if forced:
-        driven = "driving force"
+    pull, also = _PULLS[pulled_by]
+    scope = "" if run.force_replica_std is not None else " at the same X"
     course = _draw_course(force, run.t, run, exact)
     drawn: dict[str, Any] = {
-        "friction of the contacts, ± 2 standard errors at the same X": course[""],
-        driven: force.plot(run.t, run.spring, color="C3")[0],
+        f"friction of the contacts, ± 2 standard errors{scope}": course[""],
+        f"{pull}{also}": force.plot(run.t, run.spring, color="C3")[0],
     }
     if exact is not None:
         drawn["friction, mean field"] = course[_MEAN]
     for slip in run.slips if len(run.slips) <= _MOST_MARKS else ():
         line = force.axvline(slip.t, color="0.7", linewidth=0.7, zorder=0)
-        drawn["slips, at half of their drop"] = line
+        of = " of all replicas" * (caption.replicas > 1)
+        drawn[f"slips{of}, at half of their drop"] = line
     force.set(ylabel=caption.length("force / $(N k)$"))
     caption.beside(force)
     force.set_title(caption.heading)
-    if not forced:
+    if pulled_by == "stage":
         displacement.plot(run.t, run.stage, color="C3")
     (slider,) = displacement.plot(run.t, run.X, color="C0", linestyle="--")
     drawn["displacement of the slider"] = slider
@@ -212,11 +219,11 @@ def slider_figure(
         panel.plot(velocity, run.spring, color="C3", linewidth=0.7)
         speed = "velocity of the slider, between two records"
         panel.set_xlabel(caption.unit(speed, VELOCITY, unknown=True))
-        panel.set_ylabel(caption.length("force of the spring / $(N k)$"))
+        panel.set_ylabel(caption.length(f"{pull} / $(N k)$"))
         stage = np.abs(np.diff(run.stage) / np.diff(run.t)).max()
         if np.abs(velocity).max() > _FAST * stage > 0:
             panel.set_xscale("symlog", linthresh=stage)
-    legend_below(figure, drawn)
+    legend_below(figure, drawn, caption.means)
     return figure
 
 
@@ -237,7 +244,8 @@ def healing_figure(
     if exact.size == hold.size:
         axes.plot(hold, exact, "k_", markersize=13, label="exact mean")
     axes.set_xscale("log")
-    draw_healing(axes, law, hold, "C3")
+    units = (unit_text(caption.units, of, unknown=False) for of in (LENGTH, TIME))
+    draw_healing(axes, law, hold, "C3", *units)
     axes.set(
         xlabel=caption.unit("time of the hold", TIME, unknown=True),
         ylabel=caption.length("healing: peak less force before the hold"),
@@ -248,20 +256,29 @@ def healing_figure(
     return figure
 
 
-def draw_healing(axes: Axes, law: "Healing", hold: Array, color: Any) -> None:
-    """Draw a logarithm through healing after holds."""
+def draw_healing(
+    axes: Axes,
+    law: "Healing",
+    hold: Array,
+    color: Any,
+    unit: str = "",
+    time_unit: str = "",
+) -> None:
+    """Draw a logarithm through healing after holds, in units of healing and of time."""
     t = np.geomspace(hold.min(), hold.max(), 100)
-    label = rf"${law.rate}$ per decade, beyond $t = {law.cutoff}$"
+    rate, cutoff = f"{law.rate} {unit}".rstrip(), f"{law.cutoff} {time_unit}".rstrip()
+    label = f"{rate} per decade, beyond $t$ = {cutoff}"
     axes.plot(t, law.at(t), color=color, linewidth=1, label=label)
 
 
 @styled
-def sizes_figure(breaks: Array, per: int, law: Array, caption: Caption) -> Figure:
-    """Draw the sizes of avalanches behind a stage, as probabilities, or of bursts under
-    a force, over the number of contacts, beside the exact law."""
+def sizes_figure(
+    breaks: Array, per: int, law: Array, caption: Caption, bursts: bool
+) -> Figure:
+    """Draw the sizes of avalanches behind a stage, as probabilities, or of `bursts`
+    under a force, over the number of contacts, beside the exact law."""
     figure = Figure(figsize=(6.5, 4.8))
     axes = figure.subplots()
-    bursts = per != breaks.size
     draw_sizes(axes, breaks, per, law, "bursts" if bursts else "avalanches")
     label = "bursts over contacts  $D(s)/N$" if bursts else "probability  $P(s)$"
     axes.set(xlabel="breaks  $s$", ylabel=label, title=caption.heading)

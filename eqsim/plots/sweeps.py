@@ -23,7 +23,7 @@ from eqsim.estimate import Estimate
 from eqsim.io import storage
 from eqsim.io.content import DERIVED, of_population
 from eqsim.io.export import RENAMED_COLUMNS
-from eqsim.io.labels import axis, plain, symbol
+from eqsim.io.labels import axis, column_unit, plain, symbol
 from eqsim.io.parameters import keys, parameters
 from eqsim.io.runfile import RunFile, at, stored
 from eqsim.io.units import Quantity, Units
@@ -149,7 +149,8 @@ def read_sweep(folder: Path) -> Sweep:
         raise InputError(f"{folder}: {said}") from None
     table = found.to_pandas().reset_index(drop=True)
     if "friction" in table:  # by eqsim, perhaps an old version
-        table = table.rename(columns=RENAMED_COLUMNS)
+        known = {old: new for old, new in RENAMED_COLUMNS.items() if new not in table}
+        table = table.rename(columns=known)
     for name in table.select_dtypes("category"):  # folders named KEY=VALUE
         table[name] = table[name].astype(str)
         with suppress(ValueError):
@@ -240,10 +241,20 @@ def healing_of(table: Points, x: str, y: str) -> Healing | None:
     healing = re.match(r"segment_(\d+)_healing", y)
     if not hold or not healing or int(healing[1]) != int(hold[1]) + 1:
         return None
-    if (reliable := f"{healing[0]}_reliable") in table:
-        table = table[table[reliable].astype(bool)]
-    columns = (table[name].to_numpy(float) for name in (x, y, f"{y}_stderr"))
-    return healing_law(*columns)
+    if f"{y}_stderr" not in table:  # an exact value, or an error
+        return None
+    sure = table[~_doubtful(table, y)]
+    return healing_law(*(sure[k].to_numpy(float) for k in (x, y, f"{y}_stderr")))
+
+
+def _doubtful(table: Points, y: str) -> Column:
+    """Rows in which the table says of `y`, or of the force over N k that it follows
+    from, that it is not reliable."""
+    of_force = re.sub("_?(friction_force|friction_coefficient|shear_stress)$", "", y)
+    for name in (y, of_force or "friction"):
+        if (reliable := f"{name}_reliable") in table:
+            return table[reliable].eq(False)
+    return pd.Series(False, table.index)
 
 
 def _figure(
@@ -339,7 +350,9 @@ def _panel(
             axes.plot(fine[0], fine[1] * factor, zorder=2, **how)
             marks.add("lines")
         if law := healing_of(members, x, y):
-            draw_healing(axes, law, members[x].to_numpy(float), style["color"])
+            held, shown = members[x].to_numpy(float), quantity.unit if quantity else ""
+            units = (column_unit(y, sweep.units, shown), column_unit(x, sweep.units))
+            draw_healing(axes, law, held, style["color"], *units)
         marks |= _draw_series(axes, members, columns, style, dashed=fine is None)
     axes.set_ylabel(axis(y, sweep.units, quantity.unit if quantity else ""))
     Caption("", quantity=_friction_beside(sweep, table, y)).beside(axes)
@@ -352,9 +365,9 @@ def _drawable(
 ) -> tuple[Points, list[str]]:
     """The points that can be drawn, and notes on the others."""
     for name, option in ((x, "--x"), *((y, "--y") for y in ys)):
-        if not _numeric(_column(table, name, option)):
-            of = _Levels.of(table[name])
-            raise InputError(f"{option} {name}: is not a column of numbers but of {of}")
+        _require_numbers(_column(table, name, option), f"{option} {name}:")
+    for y in ys:
+        table = _with_errors(table, y)
     for name in by:
         _column(table, name, "--by")
     known = {_source(table, name) for name in (x, *by)}
@@ -379,6 +392,28 @@ def _drawable(
         if not (~failed & finite[y]).any():
             raise InputError("; ".join([f"--y {y}: no point to draw", *notes]))
     return table[~failed & np.logical_or.reduce([*finite.values()])], notes
+
+
+def _with_errors(table: Points, y: str) -> Points:
+    """The points with the error and the reference of `y` as numbers, where there are
+    any. Raises InputError."""
+    stderr = f"{y}_stderr"
+    for name in (stderr, f"{y}_reference"):
+        if name in table:
+            if table[name].notna().any():
+                _require_numbers(table[name], f"--y {y}: {name}")
+            table = table.assign(**{name: table[name].astype(float)})
+    if stderr in table and (table[stderr] < 0.0).any():
+        said = f"{stderr} = {table[stderr].min():g}: must be 0 or more"
+        raise InputError(f"--y {y}: {said}")
+    return table
+
+
+def _require_numbers(column: Column, name: str) -> None:
+    """Raise InputError if a column is not of numbers."""
+    if not _numeric(column):
+        of = _Levels.of(column)
+        raise InputError(f"{name} is not a column of numbers but of {of}")
 
 
 def _source(table: Points, name: str) -> str:
@@ -463,9 +498,7 @@ def _draw_series(
         marks.add("bars")
     bar: dict[str, Any] = {"fmt": "none", "ecolor": color, "capsize": 2.5}
     axes.errorbar(members[x], members[y], bars, zorder=3, **bar)
-    unsure = members["status"] == "unreliable"
-    if (reliable := f"{y}_reliable") in members:
-        unsure |= members[reliable].eq(False)
+    unsure = (members["status"] == "unreliable") | _doubtful(members, y)
     for points, fill in ((members[~unsure], color), (members[unsure], "white")):
         how: dict[str, Any] = {"linestyle": "none", "markerfacecolor": fill, **style}
         axes.plot(points[x], points[y], zorder=4, **how)
@@ -551,9 +584,10 @@ def _stress(sweep: Sweep, y: str, largest: float) -> Quantity | None:
 
 def _friction_beside(sweep: Sweep, table: Points, y: str) -> Quantity | None:
     """Another quantity that friction or the force `y` is at the interface, if all
-    points share it."""
-    names = ("contacts.count", "contacts.stiffness")
-    several = any(name in table and table[name].nunique() > 1 for name in names)
+    points have as many contacts of the same stiffnesses."""
+    of_force = r"contacts\.(count|stiffness)|population\.\d+\.(share|stiffness)"
+    names = filter(re.compile(of_force).fullmatch, map(str, table))
+    several = any(table[name].nunique() > 1 for name in names)
     if sweep.file is None or several or y not in ("friction", "friction_force"):
         return None
     with suppress(InputError):

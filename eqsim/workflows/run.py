@@ -360,23 +360,32 @@ class SliderResult(ProgrammeResult):
 
     def figures(self, title: str) -> dict[str, Any]:
         """Forces and displacements of slider and stage, and sizes of avalanches."""
-        figures, run = super().figures(title), self.trajectory
-        if run.avalanches is not None and run.avalanches["breaks"].size:
-            sizes = self._sizes(run.avalanches["breaks"], run.avalanches["t"])
+        figures, avalanches = super().figures(title), self.trajectory.avalanches
+        if avalanches is None or self._pulled_by == "motor":
+            return figures
+        if avalanches["breaks"].size:
+            sizes = self._sizes(avalanches["breaks"], avalanches["t"])
             caption = self.caption(title, None)
-            figures["avalanches"] = runs.sizes_figure(*sizes, caption)
+            drawn = *sizes, caption, self.drive.forced
+            figures["avalanches"] = runs.sizes_figure(*drawn)
         return figures
 
+    @property
+    def _pulled_by(self) -> str:
+        """What pulls the slider: "force", "stage" or, without one, "motor"."""
+        alone = "force" if self.drive.forced else "motor"
+        return "stage" if self.drive.stage else alone
+
     def _force_figure(self, caption: Any) -> Any:
-        exact, forced = self.exact.solution, self.drive.forced
-        return runs.slider_figure(self.trajectory, exact, caption, forced)
+        exact, pulled_by = self.exact.solution, self._pulled_by
+        return runs.slider_figure(self.trajectory, exact, caption, pulled_by)
 
     def _sizes(self, breaks: Array, t: Array) -> tuple[Array, int, Array]:
         """Sizes of bursts under a force, or of avalanches in the second half of a run
         behind a stage; what numbers are divided by, and the exact law, if there is
         one."""
         per = self.ensemble.count * self.file.output.replicas
-        if self.drive.stage is not None:
+        if not self.drive.forced:
             breaks = breaks[t > 0.5 * self.trajectory.t[-1]]
             per = breaks.size
         return breaks, per, self._law_of_sizes()
@@ -384,19 +393,24 @@ class SliderResult(ProgrammeResult):
     def _law_of_sizes(self) -> Array:
         """P(1), P(2), ... of avalanches, or numbers of bursts, of infinitely many
         contacts; empty where they are not alike, have equal thresholds, are born
-        stretched, age or are broken by heat, and behind a stage with a delay."""
-        contacts, stage = self.ensemble, self.drive.stage
+        stretched, age or are broken by heat, behind a stage with a delay, and under a
+        force that is not raised from 0 until all contacts are broken for ever."""
+        contacts, drive, run = self.ensemble, self.drive, self.trajectory
         law, springs = contacts.thresholds, contacts.stiffness_law
         changing = (contacts.thermal, contacts.aging, contacts.newborn)
         if contacts.populations or law.steps.size or any(x.active for x in changing):
             return np.empty(0)
-        if stage is None:
-            found = if_any(lambda: bursts(contacts, range(1, _LARGEST_SIZE + 1)))
-            return found.solution.number if found.solution else np.empty(0)
-        if contacts.delay.time:
+        if drive.stage:
+            if contacts.delay.time:
+                return np.empty(0)
+            load = load_of(law, drive.stage.stiffness, springs)
+            return size_law(law, load, _LARGEST_SIZE, springs)
+        jumps = len(drive.segments) > 1 or drive.segments[0].force
+        broken = np.all(np.isfinite(run.lifetimes))
+        if jumps or not broken or contacts.delay.time < math.inf:
             return np.empty(0)
-        load = load_of(law, stage.stiffness, springs)
-        return size_law(law, load, _LARGEST_SIZE, springs)
+        found = if_any(lambda: bursts(contacts, range(1, _LARGEST_SIZE + 1)))
+        return found.solution.number if found.solution else np.empty(0)
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
         """Each slip, and the mean period and drop, which leave out the first; under a

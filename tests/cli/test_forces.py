@@ -82,6 +82,35 @@ def test_a_run_of_a_bundle_draws_its_bursts(tmp_path):
     assert abs(single - exact.number[0]) < 4.5 * np.sqrt(exact.number[0] / 1e4)
 
 
+RE_ATTACHED = {"delay.time": 1.0}
+AT_ONCE = {"drive.force_rate": None, "drive.force": 0.7}
+NOT_TO_THE_END = {"drive.time": 0.5}
+
+
+@chosen("changes", [{}, RE_ATTACHED, AT_ONCE, NOT_TO_THE_END], [{}, RE_ATTACHED])
+def test_the_law_of_bursts_is_that_of_a_force_that_is_raised(changes, tmp_path):
+    """From 0 until all contacts are broken for ever; others are drawn without a law."""
+    path = tmp_path / "bundle.toml"
+    path.write_text(BUNDLE.replace("count = 5000", "count = 200"))
+    changes = {"drive.time": 0.75} | changes if changes == RE_ATTACHED else changes
+    axes = run(path, changes=changes).figures("")["avalanches"].axes[0]
+    assert axes.get_ylabel().startswith("bursts over contacts")
+    laws = [line for line in axes.lines if line.get_label().startswith("infinitely")]
+    assert len(laws) == (not changes)
+
+
+def test_a_motor_without_a_stage_has_no_picture_of_bursts(tmp_path):
+    """Its contacts form again and break as often as the run is long."""
+    path = tmp_path / "motor.toml"
+    path.write_text(
+        "[contacts]\ncount = 100\n[drive]\nvelocity = 1.0\nstall_force = 2.0\n"
+        "time = 3.0\n[output]\npoints = 5\n"
+    )
+    found = run(path)
+    assert found.trajectory.avalanches["breaks"].size > 0
+    assert [*found.figures("")] == ["force"]
+
+
 COLD, WARM, EQUAL = {}, {"thermal.kT": 0.05}, {"thresholds.law": "delta"}
 
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numba
 import numpy as np
 import pytest
+from matplotlib import animation
 from scipy import integrate, linalg
 
 from eqsim import (
@@ -33,6 +34,7 @@ from eqsim.engine.slider import Slider
 from eqsim.io.runfile import check
 from eqsim.io.states import States
 from eqsim.master.chain_fronts import front_prestress
+from eqsim.plots.chains import animation_of
 from eqsim.workflows.run import run as run_file
 
 HOT = Ensemble(thermal=Thermal(0.1), delay=Delay(1.0), count=400)
@@ -692,11 +694,17 @@ def test_an_event_under_way_at_the_end():
     assert [*found.rows()][1][2].startswith("> ")
 
 
+def in_seconds(changes):
+    """The run file with units, and other values by "section.key"."""
+    units = '[units]\nlength = "um"\ntime = "s"\n'
+    return check(tomllib.loads(units + RUN)).with_changes(changes)
+
+
 def test_pictures_have_the_lines_of_fronts():
     """The line of a front that runs to the left at 2 blocks per time goes through the
     points of its blocks, as far as it runs; 1e-12 is rounding of a fit of seven times
     below 10."""
-    found = run_file(check(tomllib.loads(RUN)).with_changes({"drive.time": 10.0}))
+    found = run_file(in_seconds({"drive.time": 10.0}))
     block = np.arange(8, 1, -1)
     broke = {"block": block, "t": 3.0 + 0.5 * np.arange(7.0)}
     broke |= {name: np.zeros(7, int) for name in ("event", "replica")}
@@ -708,11 +716,30 @@ def test_pictures_have_the_lines_of_fronts():
         fronts = fronts_of(broke, found.trajectory.chain)
         lists = {"broke": broke, "events": events, "fronts": fronts}
         made = replace(found, trajectory=replace(found.trajectory, **lists))
-        points, line = made.figures("")["fronts"].axes[1].lines
+        panel = made.figures("")["fronts"].axes[1]
+        points, line = panel.lines
         np.testing.assert_allclose(
             points.get_xydata(), line.get_xydata(), rtol=0, atol=1e-12
         )
         assert line.get_ydata().tolist() == block.tolist()
+        assert panel.get_xlabel() == "time since the first block broke  [s]"
+        assert " blocks/s, " in panel.get_legend().get_texts()[0].get_text()
+
+
+def test_pictures_say_of_how_many_replicas_they_are(monkeypatch):
+    """Events are those of each replica, lines are means; the film has units."""
+    found = run_file(in_seconds({"output.replicas": 2}))
+    figures = found.figures("")
+    legend = figures["force"].axes[0].get_legend()
+    assert legend.get_title().get_text() == "means of 2 replicas"
+    texts = [text.get_text() for text in legend.get_texts()]
+    marked = [text for text in texts if "event" in text or "precursor" in text]
+    assert marked
+    assert all(text.endswith(", in one of 2 replicas") for text in marked)
+    assert ", replica " in figures["fronts"].axes[0].get_title()
+    monkeypatch.setattr(animation, "FuncAnimation", lambda figure, *_, **__: figure)
+    film = animation_of(found.trajectory, found.caption("", None))
+    assert film.axes[1].get_ylabel() == "velocity of the block  [µm/s]"
 
 
 def test_results_in_other_units():

@@ -14,11 +14,14 @@ from typer.testing import CliRunner
 
 from eqsim import load
 from eqsim.cli.app import app
-from eqsim.estimate import OBSERVABLES
+from eqsim.estimate import OBSERVABLES, Estimate
 from eqsim.io import labels
 from eqsim.io.parameters import keys
 from eqsim.io.units import Units
-from eqsim.plots import style
+from eqsim.master.chain_modes import Modes
+from eqsim.model.healing import Healing
+from eqsim.plots import checks, runs, style
+from eqsim.plots.panels import Caption
 from eqsim.plots.style import saved
 from eqsim.workflows.curve import curve
 from eqsim.workflows.run import run
@@ -276,6 +279,153 @@ def test_numbers_without_units_are_in_those_that_are_one(tmp_path, change, key, 
     label = labels.axis(key, load(path, change).units)
     assert label.endswith(unit)
     matplotlib.figure.Figure().text(0, 0, label)
+
+
+def sizes(breaks, per, *, bursts):
+    """The axes of a picture of sizes, without a law."""
+    figure = runs.sizes_figure(breaks, per, np.empty(0), Caption(""), bursts)
+    return figure.axes[0]
+
+
+def test_all_sizes_are_within_the_axes():
+    """Also where contacts that form again break four times each."""
+    axes = sizes(np.ones(828, int), 200, bursts=True)
+    (points, *_) = axes.containers[0].lines
+    low, high = axes.get_ylim()
+    (highest,) = points.get_ydata()
+    assert low < 4.0 < highest < high
+
+
+def test_bursts_are_no_avalanches_where_contacts_break_one_by_one():
+    assert sizes(np.ones(200, int), 200, bursts=True).get_ylabel().startswith("bursts")
+    assert "probability" in sizes(np.ones(200, int), 200, bursts=False).get_ylabel()
+
+
+SLIPS = """
+[contacts]
+count = 20
+[thresholds]
+law = "delta"
+[drive]
+velocity = 1.0
+time = 30.0
+[drive.stage]
+stiffness = 0.05
+[output]
+points = 31
+replicas = 3
+"""
+AT_SAME_X = "friction of the contacts, ± 2 standard errors at the same X"
+SCATTER = "friction of the contacts, ± 2 standard errors"
+OF_SPRING = "force of the spring; displacement of the stage"
+SLIDER = "displacement of the slider"
+
+
+@pytest.mark.parametrize(
+    ("changes", "title", "said"),
+    [
+        ({}, "means of 3 replicas", [SCATTER, OF_SPRING, "slips of all replicas, at half of their drop"]),
+        ({"output.replicas": 1}, "", [AT_SAME_X, OF_SPRING, "slips, at half of their drop"]),
+        ({"drive.stage": None, "drive.stall_force": 2.0, "drive.time": 3.0}, "means of 3 replicas",
+         [SCATTER, "force of the motor"]),
+    ],
+    ids=["three", "one", "motor"],
+)  # fmt: skip
+def test_legends_of_sliders(tmp_path, changes, title, said):
+    """What errors are, of how many replicas lines are means, and what pulls."""
+    path = tmp_path / "slider.toml"
+    path.write_text(SLIPS)
+    found = run(load(path, changes))
+    figure = found.figures("")["force"]
+    (legend,) = figure.legends
+    assert legend.get_title().get_text() == title
+    assert [text for text in texts(figure) if "mean field" not in text] == [
+        *said,
+        SLIDER,
+    ]
+    pull = "spring" if OF_SPRING in said else "motor"
+    assert figure.axes[2].get_ylabel().startswith(f"force of the {pull}")
+    stage = [line for line in figure.axes[1].lines if line.get_linestyle() == "-"]
+    assert len(stage) == (pull == "spring")
+
+
+BLOCKS = """
+[contacts]
+count = 64
+stiffness_law = "uniform"
+[drive]
+velocity = 1.0
+distance = 5.0
+[elastic]
+blocks = 4
+coupling = 2.0
+drive_stiffness = 0.5
+[output]
+replicas = 2
+points = 1002
+"""
+
+
+def test_no_break_is_missing_in_a_picture_of_breaks(tmp_path):
+    """Pixels are as many as a panel can show, and their sum is that of all breaks of
+    the first replica."""
+    path = tmp_path / "blocks.toml"
+    path.write_text(BLOCKS)
+    found = run(load(path))
+    figure = found.figures("")["fronts"]
+    saved(figure)
+    breaks = found.trajectory.blocks["breaks"].reshape(2, 1002, 4)[0]
+    panel = figure.axes[1]
+    (image,) = panel.images
+    assert image.get_array().sum() == breaks[-1].sum() - breaks[0].sum() > 50
+    assert image.get_array().shape == (334, 4)  # of 3 of the 1001 intervals
+    assert image.get_array().shape[0] < panel.get_window_extent().height
+    # a third of the last row is beyond the end; 1e-12 is rounding
+    end = 5.0 * 1002 / 1001
+    assert image.get_extent()[3] == pytest.approx(end, rel=1e-12, abs=0)
+    assert panel.get_ylim()[1] == pytest.approx(5.0, rel=1e-12, abs=0)
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert "breaks between two records,\nsums over 3 intervals" in labels
+    assert figure.get_suptitle().endswith("the first of 2 replicas")
+
+
+def test_the_spread_between_blocks_is_that_of_all_replicas(tmp_path):
+    path = tmp_path / "blocks.toml"
+    path.write_text(BLOCKS)
+    found = run(load(path, {"output.points": 21}))
+    X = found.trajectory.blocks["X"].reshape(2, 21, 4)
+    (line,) = found.figures("")["force"].axes[1].lines
+    expected = np.sqrt(0.5 * (X[0].var(axis=1) + X[1].var(axis=1)))
+    # rounding of X, 1e-15, against a spread of 0.1
+    np.testing.assert_allclose(line.get_ydata(), expected, rtol=0, atol=1e-13)
+
+
+def test_healing_in_a_legend():
+    """Estimates as on a terminal, not as mathematics, with their units."""
+    law = Healing(Estimate(3.5e-5, 1e-6, 4, None, False), Estimate(2.0, 0.1, 4), 1.0, 2)
+    hold = np.array([1.0, 10.0, 100.0])
+    holds = hold, law.at(hold), np.full(3, 1e-6)
+    caption = Caption("", units=Units("um", "s"))
+    figure = runs.healing_figure(holds, np.empty(0), law, caption)
+    label = figure.axes[0].get_legend().get_texts()[0].get_text()
+    assert label == "3.50(10)e-05  unreliable µm per decade, beyond $t$ = 2.00(10) s"
+
+
+def test_growth_of_perturbations():
+    """The softest mode lies on the line, also between points that are far apart."""
+    q, growth = np.array([0.01, 0.1, 1.0]), np.array([1.0, 2.0, -1.0])
+    none = Estimate(None, None, 0)
+    modes = Modes(q, growth, 0 * q, 0 * q, none, 0.5, Estimate(1.9, 0.0, 1))
+    figure = checks.modes_figure(modes, Caption("", units=Units("um", "s")))
+    axes = figure.axes[0]
+    assert axes.get_ylabel() == "growth rate  [1/s]"
+    line, star, _ = axes.lines
+    assert star.get_xydata()[0].tolist() in line.get_xydata().tolist()
+    assert line.get_xdata().tolist() == [0.01, 0.1, 0.5, 1.0]
+    (grow,) = axes.collections  # as far as the line is above 0, to rounding
+    end = 0.5 + 0.5 * 1.9 / 2.9
+    farthest = max(path.vertices[:, 0].max() for path in grow.get_paths())
+    assert farthest == pytest.approx(end, rel=1e-9, abs=0)
 
 
 def seen(color, matrix):

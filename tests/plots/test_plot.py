@@ -12,8 +12,10 @@ from typer.testing import CliRunner
 from eqsim import load
 from eqsim import sweep as run_sweep
 from eqsim.cli.app import app
+from eqsim.errors import InputError
+from eqsim.model.healing import healing_law
 from eqsim.plots.style import COLORS, PAPER, saved
-from eqsim.plots.sweeps import Sweep, read_sweep, select, sweep_figure
+from eqsim.plots.sweeps import Sweep, healing_of, read_sweep, select, sweep_figure
 from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked
 from eqsim.sweeps.store import Store
@@ -127,6 +129,80 @@ def test_points_of_a_column_that_is_not_reliable_are_open():
         True,
         True,
     ]
+
+
+@pytest.mark.parametrize("quantity", ["", "_friction_coefficient", "_friction_force"])
+def test_healing_that_is_not_reliable_is_open_in_every_quantity(quantity):
+    """It does not count for the logarithm, which is that of the others."""
+    hold = np.geomspace(1.0, 1e4, 5)
+    x, base = "drive.programme.1.hold", "segment_2_healing"
+    y, healing = base + quantity, 0.02 * np.log10(1.0 + hold)
+    table = pd.DataFrame({x: hold, y: healing, f"{y}_stderr": 1e-3})
+    table[f"{base}_reliable"] = [False, True, True, True, True]
+    table.loc[0, y] = 1.0
+    figure, _ = drawn(table, x, y)
+    assert sum(not filled for *_, filled in marks(figure.axes[0])) == 1
+    assert healing_of(table, x, y) == healing_law(hold[1:], healing[1:], 0 * hold[1:] + 1e-3)  # fmt: skip
+
+
+def test_friction_coefficients_are_as_reliable_as_friction():
+    table = points()[10:14].assign(friction_coefficient=1.0)
+    table["friction_reliable"] = [True, False, True, True]
+    figure, _ = drawn(table, "drive.velocity", "friction_coefficient", "thermal.kT")
+    assert sum(not filled for *_, filled in marks(figure.axes[0])) == 1
+
+
+@pytest.mark.parametrize("end", ["_reference", "_stderr", "_z"])
+def test_columns_of_the_errors_of_healing_are_no_healing(end):
+    hold, y = np.geomspace(1.0, 1e4, 5), "segment_2_healing"
+    table = pd.DataFrame({"drive.programme.1.hold": hold, y: 0.1, f"{y}_stderr": 0.01})
+    table[f"{y}{end}"] = 0.01
+    figure, notes = drawn(table, "drive.programme.1.hold", f"{y}{end}")
+    assert len(marks(figure.axes[0])) == 5
+    assert notes == []
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"y_stderr": ["a"] * 3}, "--y y: y_stderr is not a column of numbers but of a"),
+        ({"y_stderr": -0.1}, "--y y: y_stderr = -0.1: must be 0 or more"),
+        ({"y_reference": "b"}, "--y y: y_reference is not a column of numbers but of b"),
+        ({"y_stderr": None, "y_reference": None}, ""),
+    ],
+)  # fmt: skip
+def test_errors_and_references_of_any_table(columns, said):
+    """What is no number is refused; nothing at all is none."""
+    table = pd.DataFrame({"x": [1.0, 2.0, 3.0], "y": [1.0, 2.0, 3.0]}).assign(**columns)
+    if not said:
+        assert len(marks(drawn(table, "x", "y")[0].axes[0])) == 3
+        return
+    with pytest.raises(InputError) as error:
+        drawn(table, "x", "y")
+    assert str(error.value) == said
+
+
+def test_a_table_with_old_and_new_names(tmp_path):
+    """Both columns stay what they are."""
+    names = ("drive.velocity", "friction", "force", "friction_force")
+    table = pd.DataFrame({name: [1.0, 2.0, 3.0 + i] for i, name in enumerate(names)})
+    table.to_parquet(tmp_path / "p.parquet")
+    pd.testing.assert_frame_equal(read_sweep(tmp_path).table, table)
+
+
+@pytest.mark.parametrize("varied", ["share", "stiffness", ""])
+def test_no_second_axis_where_populations_vary(tmp_path, varied):
+    """The coefficient of the same F/(N k) is in proportion to the mean stiffness k,
+    here from 1 to 3 or 6. Control: of other points the axis is drawn."""
+    run = tmp_path / "x.toml"
+    run.write_text(
+        "[interface]\nnormal_load = 2.0\n[contacts]\ncount = 10\n[drive]\nvelocity = 1.0\n"
+        "[[population]]\nshare = 1\nstiffness = 1.0\n[[population]]\nshare = 1\nstiffness = 5.0\n"
+    )
+    x = f"population.0.{varied}" if varied else "thermal.kT"
+    table = pd.DataFrame({x: [0.1, 1.0, 9.0], "friction": 0.75})
+    figure = sweep_figure(Sweep(table, load(run)), table, (x, "friction"))[0]
+    assert len(figure.axes[0].child_axes) == (0 if varied else 1)
 
 
 def test_legend_covers_no_data():
