@@ -80,7 +80,7 @@ def sweep(
     try:
         points = plan.Plan(file)
         first = points.at(0)
-        asked.require_effect(first.drive)
+        asked.require_effect(points.runs)
         shown.doubt(first, first.drive)
         with shown.bar("sweeping", "points") as progress:
             found = scheduler.sweep(

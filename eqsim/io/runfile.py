@@ -6,7 +6,7 @@ refused.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -533,11 +533,12 @@ def _stage(file: RunFile) -> None:
         raise InputError("drive.stage.stiffness: is required")
 
 
-def contents_of(file: RunFile) -> dict[str, bytes]:
-    """Contents of the files of thresholds and drives that a run file names, by name.
-    Raises InputError for one that cannot be read."""
+def contents_of(file: RunFile, more: Collection[str] = ()) -> dict[str, bytes]:
+    """Contents of the files of thresholds and drives that a run file names, and of some
+    `more`, by name. Raises InputError for one that cannot be read."""
     names = [file["thresholds.file"], file["drive.file"]]
     names += [x["thresholds"]["file"] for x in file["population"] or []]
+    names += more
     try:
         return {name: (file.folder / name).read_bytes() for name in names if name}
     except OSError as error:

@@ -20,7 +20,7 @@ from eqsim.io.storage import read_parquet
 from eqsim.laws.threshold import Table
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
-from eqsim.sweeps.rows import Task
+from eqsim.sweeps.rows import Run, Task, run_of
 
 MOST_POINTS = 1_000_000
 # Beginnings of keys that only some run files have.
@@ -30,17 +30,18 @@ _IN_FILES = ("drive.programme", "population", *OPTIONAL)
 class Plan:
     """All points of a run file's [sweep] table, in the order of the grid, the last axis
     fastest. Their identities, of which seeds are made, are digests of parameters and
-    `RESULTS_VERSION`, or `ids` from an earlier plan. Raises InputError for a table, or
-    a point of it, that cannot be used."""
+    `RESULTS_VERSION`, or `ids` from an earlier plan, whose points are not checked again.
+    `runs` are what the points that were checked compute. Raises InputError for a table,
+    or a point of it, that cannot be used."""
 
     def __init__(self, file: RunFile, ids: list[str] | None = None) -> None:
-        self.file = file
-        if file["drive.file"] is not None:
+        self.file, self.axes = file, _axes(file)
+        if file["drive.file"] is not None or "drive.file" in self.changed:
             raise InputError("drive.file: not allowed with [sweep]")
-        self.axes = _axes(file)
         self.size = math.prod(len(axis) for axis in self.axes)
         if self.size > MOST_POINTS:
             raise InputError(f"sweep: has {self.size} points; at most {MOST_POINTS}")
+        self.runs = set[Run]()
         known = ids if ids and len(ids) == self.size else None
         self.ids = known or [self._checked(index) for index in range(self.size)]
         seen: dict[str, int] = {}
@@ -56,11 +57,19 @@ class Plan:
         """The keys that are set at any point."""
         return set[str]().union(*(row for axis in self.axes for row in axis))
 
+    @property
+    def files(self) -> set[str]:
+        """Names of the files of points, thresholds and loads that axes are made of."""
+        pairs = (pair for axis in self.axes for row in axis for pair in row.items())
+        of_files = (x for key, x in pairs if key.endswith((".file", "elastic.load")))
+        files = {name for name in of_files if isinstance(name, str)}
+        return files | {x for key, x in self.file.sweep.items() if key == "file"}
+
     def _checked(self, index: int) -> str:
         """Check that a point can be computed, and return its identity."""
         try:
             point = self.at(index)
-            ensemble, _ = point.ensemble, point.drive
+            ensemble, drive = point.ensemble, point.drive
             blocks = point["elastic.blocks"] if point["elastic"] else None
             if isinstance(blocks, list):
                 given = f"elastic.blocks = {shown(blocks)}"
@@ -68,6 +77,7 @@ class Plan:
         except InputError as error:
             where = f"sweep, point {index + 1} of {self.size}"
             raise InputError(f"{where}: {error}") from None
+        self.runs.add(run_of(drive))
         return identity(point, ensemble)
 
     def changes(self, index: int) -> dict[str, Any]:

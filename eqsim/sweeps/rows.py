@@ -7,8 +7,9 @@ agree to 1e-9, and to 1e-6 where thresholds fluctuate.
 """
 
 import time
+from collections.abc import Collection
 from dataclasses import asdict, dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,10 @@ from eqsim.results import RESULTS_VERSION
 
 # Content of a row by column.
 RowCells = dict[str, Any]
+# What is computed at a point, which decides what its row holds: averages at constant
+# velocity; those of coupled blocks in balance; the force along a programme; slips, or
+# the late force, of what a stage, a motor or a plate pulls in time; lifetimes.
+Run = Literal["averages", "blocks", "programme", "pulled", "forced"]
 
 _TOO_SHORT = "the second half is too short, or not steady"
 
@@ -62,12 +67,12 @@ class Asked:
         every = asdict(self).items()
         return {name: x for name, x in every if name != "exact" or not x}
 
-    def require_effect(self, drive: Drive | Programme) -> None:
-        """Raise InputError for what changes nothing with such a drive, each point of
-        which is one run."""
-        if isinstance(drive, Drive) and not drive.elastic:
+    def require_effect(self, runs: Collection[Run]) -> None:
+        """Raise InputError for what changes nothing where every point is one of these
+        runs."""
+        if "averages" in runs:
             return
-        kind = "blocks" if drive.elastic else "a programme or a pulled slider"
+        kind = "blocks" if "blocks" in runs else "a programme or a pulled slider"
         for option, given in (
             (f"--rel-error = {self.rel_error}", self.rel_error != Asked.rel_error),
             ("--transient", self.transient),
@@ -79,6 +84,17 @@ class Asked:
     def __post_init__(self) -> None:
         require_number("--rel-error", self.rel_error, above=0)
         require_number("--max-lives", self.max_lives, above=0)
+
+
+def run_of(drive: Drive | Programme) -> Run:
+    """Name what is computed at a point with such a drive."""
+    if drive.elastic:
+        return "blocks"
+    if isinstance(drive, Drive):
+        return "averages"
+    if drive.forced:
+        return "forced"
+    return "pulled" if drive.pulled else "programme"
 
 
 def compute(
@@ -159,16 +175,17 @@ def _programme(
     if isinstance(run, ChainTrajectory):
         return _chain_columns(run)
     doubt, slips = "error bars of forces cannot be trusted", RowCells()
+    problems: list[str] = []
     if isinstance(run, SliderTrajectory):
         if programme.motor and run.force_replicas is not None:
             return _status(run.lives, []) | _late_force(run)
         if programme.forced:
             return _failure_columns(task, programme, run, compares)
-        slips = _slip_columns(run)
+        slips, problems = _slip_columns(run), _few_slips(run)
         if programme.stage is None or len(programme.segments) == 1:
-            return slips
+            return slips | _status(run.lives, problems)
         doubt += ": how far X scatters is known from 8 replicas on"
-    row = slips | _status(run.lives, [] if run.force_reliable else [doubt])
+    row = slips | _status(run.lives, problems + [doubt] * (not run.force_reliable))
     exact: tuple[SegmentRecord, ...] = ()
     method = "mean field" if programme.stage else "renewal equation in two times"
     try:
@@ -211,12 +228,16 @@ def _chain_columns(run: ChainTrajectory) -> RowCells:
 
 
 def _slip_columns(run: SliderTrajectory) -> RowCells:
-    """Columns of the slips of a slider that a stage pulls. Steady sliding, without
-    slips, is no reason to distrust a row."""
-    period, drop = run.period, run.drop
-    few = not period.reliable and not period.n == drop.n == 0
-    row = _status(run.lives, ["few slips"] if few else []) | {"slips": len(run.slips)}
-    return row | _filled("period", period) | _filled("drop", drop)
+    """Columns of the slips of a slider that a stage pulls."""
+    row = _filled("period", run.period) | _filled("drop", run.drop)
+    return row | {"slips": len(run.slips)}
+
+
+def _few_slips(run: SliderTrajectory) -> list[str]:
+    """The doubt about a run with few slips. Steady sliding, without slips, is no reason
+    to distrust a row."""
+    few = not run.period.reliable and not run.period.n == run.drop.n == 0
+    return ["few slips"] if few else []
 
 
 def failures_of(run: SliderTrajectory, drive: Programme) -> dict[str, Estimate]:

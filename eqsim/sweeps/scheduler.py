@@ -23,7 +23,7 @@ from eqsim.io.terminal import LONG_ATTEMPT, duration
 from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps.plan import Plan
 from eqsim.sweeps.rows import Asked, compute
-from eqsim.sweeps.store import Store
+from eqsim.sweeps.store import WORKERS_DIED, Store
 from eqsim.sweeps.workers import Pool, Workers
 
 _FLUSH_SECONDS = 5.0
@@ -137,7 +137,8 @@ class Scheduler:
     """Hands batches of points to workers and their rows to the store.
 
     When a worker dies its points are tried again, each alone. A point that is alone
-    with every one of `_LOSSES` deaths is to blame, and fails.
+    with every one of `_LOSSES` deaths is to blame, and fails; it is tried again when
+    the sweep is continued, perhaps with more memory.
     """
 
     def __init__(
@@ -234,7 +235,7 @@ class Scheduler:
             if self.losses[index] < _LOSSES:
                 self.suspects.append(index)
                 continue
-            said = f"{_LOSSES} workers died at this point (not enough memory?)"
+            said = f"{_LOSSES} {WORKERS_DIED} (not enough memory?)"
             self._finish(index, {"status": "failed", "message": said, "seconds": 0.0})
 
     def _died(self) -> None:

@@ -14,7 +14,6 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -25,11 +24,11 @@ from eqsim.engine.records import OF_SEGMENT, OF_STEP
 from eqsim.errors import InputError
 from eqsim.estimate import OBSERVABLES
 from eqsim.io import storage
-from eqsim.io.course import PULLS
 from eqsim.io.parameters import keys, naming, parameters
 from eqsim.io.runfile import RunFile, contents_of
 from eqsim.io.storage import SWEEP_HIDDEN, SWEEP_MANIFEST, SWEEP_PARTS, SWEEP_TABLE
 from eqsim.io.units import quantities
+from eqsim.model.drive import Drive, Programme
 from eqsim.model.ensemble import Ensemble
 from eqsim.results import RESULTS_VERSION
 from eqsim.sweeps.plan import Plan, entries, seed_of, swept
@@ -43,15 +42,22 @@ except ImportError:  # a system without locks
 # Version of the columns.
 SCHEMA = 2
 _LOCK = "_lock"
+# In messages of points at which workers died: the machine's fault, not the point's.
+WORKERS_DIED = "workers died at this point"
 # Key of a manifest for the version of results.
 _VERSION = "results version"
+# Beginning of keys of a manifest for the contents of files.
+_CONTENT = "content of "
+# Characters of a value in a message.
+_SHOWN = 80
 # Rows that are written at once.
 _FLUSH_ROWS = 256
 
 
-def schema(file: RunFile, changed: Collection[str] = ()) -> Any:
-    """The pyarrow schema of the dataset of a run file's sweep, in which keys are
-    `changed`."""
+def schema(plan: Plan) -> Any:
+    """The pyarrow schema of the dataset of a sweep: the columns that any of its points
+    fills."""
+    file, runs = plan.file, plan.runs
     number, integer, text = pa.float64(), pa.int64(), pa.string()
     others = {"dof": integer, "reliable": pa.bool_()}
     exact = ("reference", "reference_error", "z")
@@ -62,23 +68,25 @@ def schema(file: RunFile, changed: Collection[str] = ()) -> Any:
         }
 
     types = {float: number, int: integer, str: text}
-    named = naming(file).keys() | changed
+    named = naming(file).keys() | plan.changed
     known = {key: types[kind] for key, kind in keys(file).items() if key in named}
     fields = {"id": text, **known}
     fields |= {"kind": text, "status": text, "message": text}
     for name in OBSERVABLES:
         fields |= columns(name, "dof", "reliable", *exact)
     converted = quantities(Ensemble(), file.units, file.interface)
-    for one in converted if not (file["drive.programme"] or file.pulled) else ():
+    steady = not file["drive.programme"] and runs - {"pulled", "forced"}
+    for one in converted if steady else ():
         fields |= columns(one.column, "reference")
     for name in ("size", "single") if file["elastic"] else ():
         fields |= columns(name, "reference", "z")
-    if _forced(file):
+    if "forced" in runs:
         for name in ("lifetime", "strength"):
             fields |= columns(name, "dof", *exact)
-    elif file.pulled:
+    if "pulled" in runs:
         fields |= {"slips": integer, **columns("period"), **columns("drop")}
-    for name, is_force in _of_segments(file).items():
+    segmented = file["drive.programme"] or "programme" in runs
+    for name, is_force in _of_segments(file).items() if segmented else ():
         sure = ("reliable",) * name.endswith(("_healing", "_drop"))
         fields |= columns(name, *sure, *exact)
         for one in converted if is_force else ():
@@ -88,17 +96,12 @@ def schema(file: RunFile, changed: Collection[str] = ()) -> Any:
     return pa.schema(list(fields.items()))
 
 
-def _forced(file: RunFile) -> bool:
-    """True if a force pulls the slider."""
-    segments = (file["drive"], *(file["drive.programme"] or []))
-    return any(segment[name] is not None for segment in segments for name in PULLS)
-
-
 def _of_segments(file: RunFile) -> dict[str, bool]:
-    """Columns of observables of segments, and whether each is a force."""
+    """Columns of observables of segments, one without a programme, and whether each is
+    a force."""
     return {
         f"segment_{index}_{name}": name not in ("at", "memory")
-        for index in range(len(file["drive.programme"] or []))
+        for index in range(len(file["drive.programme"] or [file["drive"]]))
         for name in (*OF_SEGMENT, *OF_STEP)
     }
 
@@ -131,11 +134,7 @@ class Store:
     def __init__(self, out: Path, plan: Plan, asked: Asked) -> None:
         storage.check_folder(out)
         self.out, self.plan, file = out, plan, plan.file
-        if file["drive.programme"] is not None or file.pulled:
-            self.kind = "programme"
-        else:
-            averaged = asked.transient or file["elastic"] is not None
-            self.kind = "transient" if averaged else "steady"
+        self.transient = asked.transient
         files = [path for path in out.glob("[!._]*") if path.name != SWEEP_PARTS]
         files += storage.sweep_parts(out)
         # All files of the folder are read as one table. Without a manifest they are not
@@ -156,7 +155,7 @@ class Store:
             origin |= {"schema": SCHEMA, "results_version": RESULTS_VERSION}
             self.version = origin["versions"]["eqsim"]
             metadata = {"eqsim": storage.to_json(origin)}
-            self.schema = schema(file, plan.changed).with_metadata(metadata)
+            self.schema = schema(plan).with_metadata(metadata)
             self.rows: list[dict[str, Any]] = []
             self.tables: list[Any] = []
             self.damaged: list[str] = []
@@ -194,11 +193,8 @@ class Store:
         values |= {f"sweep.{key}": value for key, value in entries(file.sweep)}
         values["order of axes"] = [*file.sweep]
         texts = {key: repr(value) for key, value in values.items()}
-        contents = contents_of(file)
-        if grid := file.sweep.get("file"):
-            contents[str(grid)] = (file.folder / str(grid)).read_bytes()
-        for name, content in contents.items():
-            texts[f"content of {name}"] = _digest(content)
+        for name, content in contents_of(file, self.plan.files).items():
+            texts[_CONTENT + name] = _digest(content)
         return texts | {"schema": str(SCHEMA), _VERSION: str(RESULTS_VERSION)}
 
     def _agree(self, asked: Asked) -> None:
@@ -212,6 +208,8 @@ class Store:
             before = json.loads(path.read_bytes())["asked"]
             # whatever the values of keys are that the points set
             known = {*now, *before}.difference(swept(plan.file))
+            # earlier releases do not know the contents of files that an axis names
+            known -= {key for key in now.keys() - before if key.startswith(_CONTENT)}
             changed = [key for key in sorted(known) if now.get(key) != before.get(key)]
         except (ValueError, KeyError, TypeError, AttributeError):
             said = "is damaged; this folder cannot be continued"
@@ -224,11 +222,7 @@ class Store:
                 "computed anew; `eqsim export` and `eqsim plot` read this one as it is"
             )
         if changed:
-            listed = "; ".join(
-                f"{key} was {str(before.get(key, 'absent'))[:80]}, "
-                f"is {now.get(key, 'absent')[:80]}"
-                for key in changed
-            )
+            listed = "; ".join(_difference(key, before, now) for key in changed)
             other = f"holds another sweep, use another folder: {listed}"
             raise InputError(f"--out {self.out}: {other}")
 
@@ -246,11 +240,31 @@ class Store:
                 other = "has other columns than this version of eqsim writes"
                 raise InputError(f"{path}: {other}; use another folder")
             else:
-                self.tables.append(table)
+                self._keep(path, table)
         for path in map(Path, self.damaged):
             path.unlink()
         self.parts, self.complete = storage.sweep_parts(self.out), final.exists()
         self.done = self._on_disk()
+
+    def _keep(self, path: Path, table: Any) -> None:
+        """Keep the rows of a file, but for those of points at which workers died, which
+        are computed again: a file of the others takes its place."""
+        said = enumerate(table["message"].to_pylist())
+        kept = [row for row, message in said if WORKERS_DIED not in (message or "")]
+        if len(kept) == table.num_rows:
+            self.tables.append(table)
+            return
+        if kept:
+            self.tables.append(table.take(kept))
+            self._write(self.tables[-1])
+        path.unlink()
+
+    def _write(self, table: Any) -> Path:
+        """Write rows to a file named by its content."""
+        content = storage.as_parquet(table)
+        path = self.out / SWEEP_PARTS / f"part-{_digest(content)}.parquet"
+        storage.save(path, content)
+        return path
 
     def _on_disk(self) -> set[str]:
         names = (table["id"].to_pylist() for table in self.tables)
@@ -260,21 +274,25 @@ class Store:
         """Keep the row of a point; it reaches the disk with `flush`."""
         point_id, point = self.plan.ids[index], self.plan.at(index)
         row = {**parameters(point), **row, **physical(point, row)}
-        row |= {"id": point_id, "seed": seed_of(point_id), "kind": self.kind}
+        row |= {"id": point_id, "seed": seed_of(point_id)}
+        row["kind"] = self._kind(point.drive)
         self.rows.append(row | {"eqsim_version": self.version})
         self.done.add(point_id)
         if len(self.rows) >= _FLUSH_ROWS:
             self.flush()
+
+    def _kind(self, drive: Drive | Programme) -> str:
+        """Say over what the observables of a point are averaged."""
+        if isinstance(drive, Programme):
+            return "programme"
+        return "transient" if self.transient or drive.elastic else "steady"
 
     def flush(self, older: float = 0.0) -> None:
         """Write the rows at hand to a file if the last one is `older` seconds old."""
         if not self.rows or time.monotonic() - self.flushed < older:
             return
         table = pa.Table.from_pylist(self.rows, self.schema)
-        content = storage.as_parquet(table)
-        path = self.out / SWEEP_PARTS / f"part-{_digest(content)}.parquet"
-        storage.save(path, content)
-        self.parts.append(path)
+        self.parts.append(self._write(table))
         self.tables.append(table)
         self.rows, self.flushed = [], time.monotonic()
 
@@ -324,3 +342,15 @@ class Store:
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:32]
+
+
+def _difference(key: str, before: dict[str, str], now: dict[str, str]) -> str:
+    """Say how an entry of a manifest differs; of a long one from the first element of a
+    list on that does."""
+    old, new = str(before.get(key, "absent")), now.get(key, "absent")
+    pairs = enumerate(zip(old, new, strict=False))
+    same = next((i for i, (a, b) in pairs if a != b), min(len(old), len(new)))
+    if same >= _SHOWN // 2:
+        first = max(new.rfind(", ", 0, same) + 2, same - _SHOWN // 2)
+        old, new = f"...{old[first:]}", f"...{new[first:]}"
+    return f"{key} was {old[:_SHOWN]}, is {new[:_SHOWN]}"

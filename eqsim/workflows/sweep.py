@@ -82,7 +82,7 @@ def sweep(
     if grid is not None:
         base = _with_grid(base, grid)
     plan, asked = Plan(base), Asked(rel_error, max_lives, transient)
-    asked.require_effect(plan.at(0).drive)
+    asked.require_effect(plan.runs)
     bar = terminal.bar("sweeping", progress is not True, "points")
     kept = tempfile.TemporaryDirectory() if out is None else nullcontext(out)
     with bar as shown_on, kept as folder:

@@ -51,7 +51,7 @@ from eqsim.sweeps import store as store_module
 from eqsim.sweeps.plan import Plan, seed_of, swept
 from eqsim.sweeps.rows import Asked
 from eqsim.sweeps.scheduler import Scheduler, sweep
-from eqsim.sweeps.store import SCHEMA, Store, schema
+from eqsim.sweeps.store import SCHEMA, WORKERS_DIED, Store, schema
 from eqsim.sweeps.workers import Workers
 from eqsim.workflows.sweep import sweep as eqsim_sweep
 
@@ -86,7 +86,7 @@ def small(tmp_path_factory):
 def test_rows_are_what_steady_and_reference_say(small):
     table = pd.read_parquet(small / "one")
     assert len(table) == 12
-    assert list(table.columns) == schema(check({})).names
+    assert list(table.columns) == schema(plan_of(GRID)).names
     assert set(naming(check({}))) <= set(table.columns)
     plan = plan_of(GRID)
     assert list(table["id"]) == plan.ids  # in the order of the grid
@@ -185,7 +185,7 @@ drive = { force = 0.3, time = 20.0 }
 sweep = { "drive.force" = [0.3] }
 """
     plan = plan_of(text)
-    task, names = plan.task(0), schema(plan.file).names
+    task, names = plan.task(0), schema(plan).names
     assert {"lifetime", "lifetime_z", "strength"} < {*names}
     assert "slips" not in names
     run = SimpleNamespace(lifetimes=np.array([1.0, 2.0, 3.0]), lives=150)
@@ -216,6 +216,74 @@ def test_blocks_without_references(monkeypatch):
     for exact in (True, False):
         row = rows_module._point_row(task, Asked(exact=exact), 1)
         assert ("friction_reference" in row) == ("reference_method" in row) == exact
+
+
+DRIVEN = {
+    "contacts": {"count": 40, "stiffness_law": "uniform"},
+    "thresholds": {"law": "delta"},
+    "thermal": {"kT": 0.1},
+    "delay": {"time": 1.0},
+    "drive": {"velocity": 0.1},
+    "output": {"points": 21, "replicas": 8},
+}
+CHAIN = {
+    "elastic": {"blocks": 4, "coupling": 1, "drive_stiffness": 1},
+    "delay": {},
+    "drive": {"velocity": 0.1, "distance": 4.0},
+}
+BUNDLE = {"drive": {"time": 1e4}, "delay": {"time": math.inf}}
+TIMED = {"drive": {"velocity": 0.1, "time": 10.0}}
+
+
+@pytest.mark.parametrize(
+    "simulated", [False, pytest.param(True, marks=pytest.mark.long)]
+)
+@pytest.mark.parametrize(
+    ("given", "key", "values"),
+    [
+        ({}, "drive.stall_force", {0.5: "friction", math.inf: "friction_z"}),
+        (BUNDLE, "drive.force", {0.3: "lifetime"}),
+        (BUNDLE, "drive.force_rate", {1e-3: "strength"}),
+        (CHAIN, "elastic.damping", {0.3: "slips", 0.0: "size"}),
+        (CHAIN, "elastic.mass", {1.0: "slips"}),
+        ({}, "drive.time", {10.0: "segment_0_end"}),
+        (TIMED, "thermal.kT", {0.1: "segment_0_end"}),
+    ],
+)
+def test_an_axis_may_change_the_kind_of_drive(given, key, values, simulated, tmp_path):
+    """Every row has its own kind, and all of its estimates a column."""
+    sweep_table = {"sweep": {key: [*values]}}
+    plan, asked = Plan(check(DRIVEN | given | sweep_table)), Asked(rel_error=0.1)
+    store = Store(tmp_path / "o", plan, asked)
+    for index, name in enumerate(values.values()):
+        row = {"status": "ok", name: 1.0, "seconds": 0.0}
+        if simulated:
+            row = rows_module._point_row(plan.task(index), asked, 1)
+        estimates = {name for name in row if f"{name}_stderr" in row}
+        assert estimates <= {*store.schema.names}
+        store.add(index, row)
+    found = store.compact().to_pylist()
+    store.close()
+    usual = {math.inf: "steady", 0.0: "transient"}  # without motor, and damping
+    for row, (value, name) in zip(found, values.items(), strict=True):
+        assert row["kind"] == usual.get(value, "programme")
+        assert row[name] is not None, row["message"]
+
+
+def test_a_drive_that_an_axis_reads_is_refused(tmp_path):
+    """As that of [drive] is: its content is no part of a point."""
+    with pytest.raises(InputError, match=r"^drive.file: not allowed with \[sweep\]"):
+        plan_of(BASE + '[sweep]\n"drive.file" = ["a.csv"]\n', tmp_path)
+
+
+def test_accuracy_that_some_points_need_is_allowed():
+    def runs(*stalls):
+        return Plan(check(DRIVEN | {"sweep": {"drive.stall_force": [*stalls]}})).runs
+
+    Asked(rel_error=1e-3).require_effect(runs(0.5, math.inf))
+    Asked(transient=True).require_effect(runs(0.5, math.inf))
+    with pytest.raises(InputError, match="has no effect on a programme or a pulled"):
+        Asked(rel_error=1e-3).require_effect(runs(0.5))
 
 
 HOLD = """
@@ -337,7 +405,127 @@ def test_what_cannot_be_trusted_is_unreliable(monkeypatch):
         assert (row["status"], row["message"]) == ("unreliable" if said else "ok", said)
 
 
+@pytest.mark.parametrize("reliable", [True, False])
+def test_few_slips_are_told_beside_other_doubts(reliable, monkeypatch):
+    """Also with several segments, whose forces have doubts of their own."""
+    two = "drive = { programme = [{ velocity = 0.1, time = 1.0 }, { hold = 1.0 }], stage = { stiffness = 0.1 } }"
+    task = plan_of(f'{two}\nsweep = {{ "contacts.count" = [40] }}').task(0)
+    run = trajectory(task.ensemble, task.drive, points=21, seed=1, replicas=8)
+    few = Estimate(1.0, 0.1, 3, reliable=False)
+    told = dataclasses.replace(run, force_reliable=reliable)
+    monkeypatch.setattr(rows_module, "trajectory", lambda *_, **__: told)
+    monkeypatch.setattr(type(run), "period", few)
+    monkeypatch.setattr(type(run), "drop", few)
+    row = rows_module._point_row(task, Asked(exact=False), 1)
+    said = ["few slips"]
+    if not reliable:
+        said.append(
+            "error bars of forces cannot be trusted: how far X scatters is known from 8 replicas on"
+        )
+    said.append("no reference: not asked for")
+    assert (row["status"], row["message"]) == ("unreliable", "; ".join(said))
+
+
 # ---- the folder ----
+
+
+def test_the_first_element_that_differs_is_shown(tmp_path):
+    """However far on it stands."""
+    values = np.linspace(0.1, 1.0, 60).tolist()
+    other = [*values[:50], 7.5, *values[51:]]
+
+    def opened(axis):
+        plan = plan_of(f'{BASE}[sweep]\n"thermal.kT" = {axis}\n')
+        Store(tmp_path, plan, Asked()).close()
+
+    opened(values)
+    with pytest.raises(InputError) as caught:
+        opened(other)
+    found = re.search(r"kT was \.\.\.(.*), is \.\.\.(.*)", str(caught.value))
+    was, now = found.groups()
+    assert (was.split(", ")[0], now.split(", ")[0]) == (str(values[50]), "7.5")
+    assert len(str(caught.value)) < 400
+    with pytest.raises(InputError, match=rf"was \.\.\.{values[-2]}, 1\.0\], is \.\.\."):
+        opened(values[:-1])
+
+
+FILES_OF_AXES = {
+    "thresholds": (
+        'thresholds = { law = "table", file = "a.csv" }\n'
+        'drive = { velocity = 0.1 }\nsweep = { "thresholds.file" = ["a.csv", "b.csv"] }\n',
+        "threshold\n1.0\n2.0\n",
+    ),
+    "loads": (
+        'elastic = { blocks = 2, coupling = 1, drive_stiffness = 1, load = "a.csv" }\n'
+        'drive = { velocity = 0.1 }\nsweep = { "elastic.load" = ["a.csv", "b.csv"] }\n',
+        "load\n1.0\n2.0\n",
+    ),
+    "populations": (
+        "population = [{ share = 1, stiffness = 1, thresholds = { "
+        'law = "table", file = "a.csv" } }, { share = 1, stiffness = 1 }]\n'
+        'drive = { velocity = 0.1 }\nsweep = { "population.0.thresholds.file" = ["a.csv", "b.csv"] }\n',
+        "threshold\n1.0\n2.0\n",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FILES_OF_AXES)
+def test_contents_of_files_that_axes_name_belong_to_the_sweep(name, tmp_path):
+    """A folder that an earlier release began knows only those that the file names."""
+    text, content = FILES_OF_AXES[name]
+    (tmp_path / "a.csv").write_text(content)
+    (tmp_path / "b.csv").write_text(content + "3.0\n" * (name != "loads") or content)
+    if name == "loads":
+        (tmp_path / "b.csv").write_text(content.replace("2.0", "3.0"))
+
+    def opened():
+        Store(tmp_path / "o", plan_of(text, tmp_path), Asked()).close()
+
+    opened()
+    opened()
+    before = (tmp_path / "b.csv").read_text()
+    (tmp_path / "b.csv").write_text(before.replace("3.0", "4.0"))
+    with pytest.raises(InputError, match=r"another folder: content of b.csv was"):
+        opened()
+    path = tmp_path / "o" / "_sweep.json"
+    manifest = json.loads(path.read_bytes())
+    del manifest["asked"]["content of b.csv"]
+    path.write_text(json.dumps(manifest))
+    opened()
+
+
+@pytest.mark.parametrize("finished", [False, True])
+def test_points_at_which_workers_died_are_computed_again(small, tmp_path, finished):
+    """Once there is more memory; nothing else is, and a reader sees every row once."""
+    plan, out = plan_of(GRID), tmp_path / "o"
+    rows = pq.read_table(small / "one" / "sweep.parquet").to_pylist()
+    rows = rows if finished else rows[:11]
+    died = {"status": "failed", "message": f"3 {WORKERS_DIED} (or so)", "seconds": 0.0}
+    store = Store(out, plan, Asked())
+    for index, row in enumerate(rows):
+        store.add(index, died if index == 4 else row)
+    store.compact() if finished else store.flush()
+    store.close()
+    assert list(pd.read_parquet(out)["status"]).count("failed") == 1
+    again = Store(out, plan, Asked())
+    again.close()
+    assert again.done == {row["id"] for row in rows} - {plan.ids[4]}
+    assert list(pd.read_parquet(out)["status"]) == ["ok"] * len(again.done)
+    found = sweep(plan, out)
+    assert (found.computed, found.failed) == (1 if finished else 2, 0)
+    assert table_of(out).equals(table_of(small / "one"))
+
+
+def test_a_file_of_nothing_but_deaths_is_no_row(tmp_path):
+    plan = plan_of(GRID)
+    store = Store(tmp_path, plan, Asked())
+    pool = Pool(seed_of(plan.ids[4]), 0.0)
+    Scheduler(store, pool, Asked(), *SILENT).run([4])
+    assert store.kept().startswith("1 of 12")
+    store.close()
+    again = Store(tmp_path, plan, Asked())
+    again.close()
+    assert (again.done, again.tables, again.parts) == (set(), [], [])
 
 
 def test_another_sweep_in_the_same_folder_is_refused(small):
@@ -512,7 +700,7 @@ def test_columns_have_a_version():
     """A folder is refused by its version. Where columns change, `SCHEMA` is raised, and
     their digest entered here."""
     columns = {2: "f12a4c59b11c92e1"}
-    names = [f"{field.name} {field.type}" for field in schema(check({}))]
+    names = [f"{field.name} {field.type}" for field in schema(plan_of(GRID))]
     assert hashlib.sha256(" ".join(names).encode()).hexdigest()[:16] == columns[SCHEMA]
 
 
@@ -1065,8 +1253,8 @@ def test_newer_keys_name_no_point_that_leaves_them_out():
     assert plan_of(GRID).ids[0].startswith("4ed3f8be1b84c8b9")
     newer = plan_of(GRID + '"delay.activation" = [0.0, 0.1]')
     assert newer.ids[0] == plan_of(GRID).ids[0] != newer.ids[1]
-    assert "delay.activation" in schema(newer.file, newer.changed).names
-    assert "delay.activation" not in schema(newer.file).names
+    assert "delay.activation" in schema(newer).names
+    assert "delay.activation" not in schema(plan_of(GRID)).names
 
 
 MOVING = Segment(1.0, time=20.0)
