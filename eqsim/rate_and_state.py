@@ -90,8 +90,9 @@ class RateAndState:
 
     @property
     def critical_stiffness(self) -> float:
-        """(b - a)/D_c, below which steady sliding is unstable (Ruina, 1983); negative if
-        it never is."""
+        """(b - a)/D_c, below which steady sliding is unstable without damping (Ruina,
+        1983); negative if it never is. With damping the border depends on the velocity:
+        (b - a - damping V)/D_c (derived)."""
         return (self.b - self.a) / self.D_c
 
     def friction(self, programme: Programme, times: ArrayLike) -> Array:

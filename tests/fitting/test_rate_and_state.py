@@ -121,6 +121,20 @@ def test_sliding_is_stable_above_the_critical_stiffness(law):
         assert (np.ptp(mu[1500:]) > np.ptp(mu[:500])) == grows
 
 
+@pytest.mark.parametrize("law", ["slip", "aging"])
+def test_damping_lowers_the_critical_stiffness(law):
+    """It adds damping V to a: a kick of 1e-6 grows or decays at .8 and 1.2 of the
+    border, V = 1."""
+    kick = Programme([Segment(1.0 + 1e-6, time=3000.0)], "stationary", 1.0)
+    t = np.linspace(0.0, 3000.0, 3001)
+    damping = 0.4 * (LAW.b - LAW.a)
+    border = (LAW.b - LAW.a - damping) / LAW.D_c
+    for factor, grows in ((0.8, True), (1.2, False)):
+        damped = replace(LAW, law=law, stiffness=factor * border, damping=damping)
+        mu = damped.friction(kick, t) - 0.6
+        assert (np.ptp(mu[2500:]) > np.ptp(mu[:500])) == grows
+
+
 def test_segments_may_be_split():
     """A segment in 30 pieces, whose ends add up to rounding, is the whole one."""
     whole = Programme([Segment(3.0, time=3.0)], "stationary", 1.0)
