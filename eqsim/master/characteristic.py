@@ -208,12 +208,20 @@ class Loop(NamedTuple):
     def response(self, p: Array) -> Array:
         """Z without its term in eta_l p (1 - pinned), which is in `damping`; p complex,
         not 0, shape (n,)."""
+        top, bottom = self._fraction(p)
+        return top / bottom
+
+    def _fraction(self, p: Array) -> Array:
+        """Z as a fraction of two functions without poles, shape (2, n); the lower one is
+        (1 - D P)/p, which is 0 at the poles of Z."""
         if self.lives:
             numbers = self.delay, self.drag
-            found = [self.lives.response(z, *numbers) for z in p.tolist()]
-            return self.beta * np.array(found, complex)
+            found = [self.lives.fraction(z, *numbers) for z in p.tolist()]
+            top, bottom = np.array(found, complex).reshape(-1, 2).T
+            return np.array([self.beta * top, bottom])
         if p.size * self.xi.size > _TERMS_AT_ONCE and p.size > 1:
-            return np.concatenate([self.response(p) for p in np.array_split(p, 2)])
+            halves = [self._fraction(p) for p in np.array_split(p, 2)]
+            return np.concatenate(halves, axis=1)
         z = p[:, None] * self.xi
         lost, far = -np.expm1(-z), np.abs(z) >= 0.5
         if self.panels:
@@ -226,12 +234,20 @@ class Loop(NamedTuple):
         M = work @ (self.share * self.kappa * self.xi**2)
         away = self.delay.forgotten(p)  # 1 - D
         change = self.beta * away * (self.drag * broken - p * M)
-        return np.asarray(change / (away + (1.0 - away) * broken))
+        return np.array([change, away + (1.0 - away) * broken]) / p
 
     def balance(self, p: Array, stiffness: float) -> Array:
         """The characteristic equation, shape (n,)."""
-        held = self.mass * p**2 + self.damping * p + stiffness
-        return np.asarray(held + self.response(p))
+        return self._held(p, stiffness) + self.response(p)
+
+    def without_poles(self, p: Array, stiffness: float) -> Array:
+        """The characteristic equation times (1 - D P)/p, shape (n,)."""
+        top, bottom = self._fraction(p)
+        return np.asarray(self._held(p, stiffness) * bottom + top)
+
+    def _held(self, p: Array, stiffness: float) -> Array:
+        """Force of the spring, the damping and the mass."""
+        return np.asarray(self.mass * p**2 + self.damping * p + stiffness)
 
 
 def loop_of(contacts: Reduced, pull: Pull, nodes: Nodes) -> Loop:
@@ -370,9 +386,14 @@ def guesses_of(loop: Loop, stiffness: float) -> Array:
     slow, fast = 0.2 / max(scales), 10.0 / min(scales)
     whole = 2.0 * math.pi / loop.cycle * np.arange(9)
     w = np.append(whole, np.geomspace(slow, fast, 24))
-    real = np.append([0.6 * left, 0.15 * left, 0.0], np.geomspace(0.3 * slow, fast, 4))
-    grid = (real[:, None] + 1j * w).ravel() + 1e-9 / loop.cycle
-    roots = roots_from(loop, grid, stiffness)
+    real = np.append(
+        [0.6 * left, 0.15 * left, 1e-9 / loop.cycle], np.geomspace(0.3 * slow, fast, 4)
+    )
+    grid = (real[:, None] + 1j * w).ravel()
+    # behind a stiff spring they are next to poles, which are near harmonics of a cycle
+    harmonics = (real[:3, None] + 1j * whole).ravel()
+    near = roots_from(loop, harmonics, stiffness)
+    roots = np.append(_newton(loop, grid, stiffness, poles=True), near)
     roots = roots[(roots.real > left) & (roots.imag >= -1e-12)]
     # one guess in each group that is closer than it is worth
     roots = roots[np.unique(np.round(roots * loop.cycle, 3), return_index=True)[1]]
@@ -380,14 +401,26 @@ def guesses_of(loop: Loop, stiffness: float) -> Array:
 
 
 def roots_from(loop: Loop, p: Array, stiffness: float) -> Array:
-    """Roots above the real axis that Newton's method reaches from p, shape (n,)."""
+    """Find roots above the real axis that Newton's method reaches from p, shape (n,);
+    by the equation without poles only where panels of ages resolve it, as elsewhere it
+    has more roots that do not exist."""
+    sure = np.array([loop.resolves(z) for z in p.tolist()], bool)
+    found = _newton(loop, p[sure], stiffness, poles=False)
+    found = found[[loop.resolves(z) for z in found.tolist()]] if found.size else found
+    return np.append(found, _newton(loop, p[~sure], stiffness, poles=True))
+
+
+def _newton(loop: Loop, p: Array, stiffness: float, *, poles: bool) -> Array:
+    """Find roots above the real axis by Newton's method, from p, shape (n,), on the
+    equation with or without its `poles`."""
+    equation = loop.balance if poles else loop.without_poles
     roots = [p[:0]]
     with np.errstate(all="ignore"):
         for _ in range(_ROUNDS):
             if not p.size:
                 break
             h = 1e-6 * np.abs(p) + 1e-12
-            both = loop.balance(np.concatenate((p, p + h)), stiffness)
+            both = equation(np.concatenate((p, p + h)), stiffness)
             f, beyond = both.reshape(2, -1)
             step = f * h / (beyond - f)
             size, most = np.abs(step), 0.5 * (np.abs(p) + 0.1 / loop.cycle)
@@ -399,5 +432,7 @@ def roots_from(loop: Loop, p: Array, stiffness: float) -> Array:
             p = after[good & still]
     p = np.concatenate(roots)
     scale = stiffness + np.abs(loop.mass * p**2) + np.abs(loop.damping * p)
-    p = p[np.abs(loop.balance(p, stiffness)) < _AT_ROOT * scale]
+    if not poles:
+        scale /= np.abs(p) + 1.0 / loop.cycle  # as (1 - D P)/p, but for its roots
+    p = p[np.abs(equation(p, stiffness)) < _AT_ROOT * scale]
     return np.asarray(np.where(p.imag < 0.0, p.conj(), p))

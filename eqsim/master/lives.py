@@ -107,8 +107,11 @@ class Lives(NamedTuple):
         """Mean stiffness of pinned contacts."""
         return float((self.weight * self.stiff).sum()) / self.travel
 
-    def response(self, p: complex, delay: DelayLaw, drag: float) -> complex:
-        """Z/beta without the viscous force of the mean share of detached contacts."""
+    def fraction(
+        self, p: complex, delay: DelayLaw, drag: float
+    ) -> tuple[complex, complex]:
+        """Z/beta without the viscous force of the mean share of detached contacts, as a
+        fraction of two functions without poles."""
         since = self.age - self.begin[..., None]
         faded = np.exp(-p * since)
         decay = faded * np.exp(-p * self.begin)[..., None]
@@ -122,9 +125,9 @@ class Lives(NamedTuple):
         force += (end * self.last * self.last_stiff).sum()
         away = complex(delay.forgotten(np.array([p]))[0])
         waiting = away / p
-        births = -lost / ((1.0 - away) * (weight * self.pinned * decay).sum() + waiting)
+        present = (1.0 - away) * (weight * self.pinned * decay).sum() + waiting
         later = (1.0 - away) * (weight * aged * decay).sum() + drag * waiting
-        return complex(force + births * later)
+        return complex(force * present - lost * later), complex(present)
 
     def _answer(self, p: complex, rate: Array, faded: Array) -> Array:
         """Q of an integrand `rate`, with e^(-p age) since the panel began, both of

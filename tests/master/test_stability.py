@@ -4,6 +4,7 @@ solvers, and the command."""
 import json
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import kicks
 import numpy as np
@@ -452,6 +453,62 @@ def test_no_root_is_missed():
             unstable(fine, stiffness, p.real + margin),
             unstable(fine, stiffness, p.real - margin),
         ) == (0, pair)
+
+
+def roots_beyond(characteristic_loop, stiffness, beyond):
+    """How many roots have Re p > beyond and no more than 10 periods per cycle, by the
+    argument principle: the winding of the equation, and that of 1 - D P, whose zeros
+    are its poles but for p = 0."""
+    top, cycle = 20.0 * math.pi / characteristic_loop.cycle, characteristic_loop.cycle
+    corners = [40.0 / cycle, 40.0 / cycle + 1j * top, beyond + 1j * top, beyond]
+    corners[3] += 1e-6j * top  # the root of 1 - D P is within
+    share = np.linspace(0.0, 1.0, 8000)
+    p = np.concatenate(
+        [first + (last - first) * share for first, last in pairwise(corners)]
+    )
+    P = np.exp(-p[:, None] * characteristic_loop.xi) @ characteristic_loop.share
+    poles = (1.0 - np.exp(-p * characteristic_loop.delay.mean) * P) / p
+    path = characteristic_loop.balance(p, stiffness) * poles
+    angle = np.unwrap(np.angle(path))
+    assert np.abs(np.diff(angle)).max() < 1.5  # below pi, or turns are lost
+    return round((angle[-1] - angle[0]) / math.pi)
+
+
+# V, thresholds, law of stiffnesses, mass; kappa_s over the critical one; growth, which
+# was followed in kappa_s from that on the border
+STIFF = [
+    (10.0, Gamma(1.0), "sqrt", 0.0, 2.1, -0.0160),
+    (10.0, Gamma(1.0), "sqrt", 0.0, 12.0, -0.0289),
+    (1.0, Gamma(1.0), "sqrt", 0.0, 40.0, -0.362),
+    (1.0, Normal(0.2), "sqrt", 0.0, 3.6, -0.070),
+    (3.0, Gamma(1.0), "sqrt", 0.05, 2.1, -0.105),
+    (3.0, Gamma(1.0), "sqrt", 0.05, 40.0, -0.169),
+    (3.0, Gamma(1.0), "uniform", 0.0, 3.6, -0.123),
+    (3.0, Gamma(1.0), "sqrt", 0.0, 1e5, -0.1714),  # the pole, D P = 1
+]
+
+
+@pytest.mark.parametrize(
+    ("velocity", "law", "stiffness_law", "mass", "factor", "growth"), STIFF
+)
+def test_slowest_root_behind_a_stiff_spring(
+    velocity, law, stiffness_law, mass, factor, growth
+):
+    """It is next to a pole of Z, and no other is slower."""
+    ensemble = Ensemble(law, delay=Delay(1.0), stiffness_law=stiffness_law)
+    soft = pulled_by(ensemble, pulled(1.0, 0.03, mass, velocity))
+    stiffness = factor * critical_stiffness(soft).value
+    drive = pulled(stiffness, 0.03, mass, velocity)
+    found = stability(ensemble, drive, critical=False)
+    digit = 10.0 ** -len(str(growth).split(".")[1])
+    assert found.growth.value == pytest.approx(growth, rel=0, abs=digit)
+    if factor > 1e3 or velocity > 3.0:
+        return
+    p = found.growth.value * law.scale / velocity
+    scan = loop(ensemble, drive, characteristic.SCAN)
+    margin = 0.1 * abs(p)
+    counts = [roots_beyond(scan, stiffness, p + side) for side in (margin, -margin)]
+    assert counts == [0, 2]
 
 
 def test_viscosity_of_detached_contacts():
