@@ -147,7 +147,8 @@ def chain_modes(
     ensemble : Ensemble
     drive : Programme
         With a chain and one segment (velocity in length/time); how it starts does not
-        matter. K_d is 0 where only the edge is pulled.
+        matter. K_d is 0 where only the edge is pulled; of a single block it is the
+        stiffness of all springs that pull.
     wave_numbers : array_like, shape (wave_numbers,), optional
         q from 0 to pi; by default 25 up to three times the critical one.
 
@@ -180,6 +181,8 @@ def chain_modes(
         raise InputError(f"chain.bulk_damping = {chain.bulk_damping:g}: {said}")
     require_number("chain.coupling", chain.coupling, least=1e-9)
     K_d = 0.0 if chain.drive == "edge" else chain.drive_stiffness
+    if chain.count == 1:  # all its springs are to what pulls
+        K_d = float(chain.springs[0])
     stage = Stage(chain.drive_stiffness, damping=chain.damping, mass=chain.mass)
     pulled = pulled_by(ensemble, replace(drive, chain=None, stage=stage))
     if pulled.method == NEUTRAL:

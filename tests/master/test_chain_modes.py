@@ -101,6 +101,26 @@ def test_chains_that_are_pulled_at_the_edge_are_stable_if_they_are_short():
     assert {found.verdict for found in every.values()} == {"stable", "unstable"}
 
 
+@pytest.mark.parametrize("stiffness", [0.5, 5.0, 20.0])
+def test_a_single_block_is_a_slider(stiffness):
+    """Whatever pulls it, also behind a spring much stiffer than the critical one."""
+    drive = Programme([Segment(3.0, distance=1.0)], stage=Stage(stiffness, 0.03))
+    alone = stability(Ensemble(delay=Delay(1.0)), drive, critical=False)
+    half = {"drive_stiffness": 0.5 * stiffness, "edge_stiffness": 0.5 * stiffness}
+    for more in ({}, {"drive": "edge"}, {"drive": "both", **half}):
+        block = Chain(
+            1,
+            **{"coupling": 0.01, "drive_stiffness": stiffness, "damping": 0.03} | more,
+        )
+        pulled = Programme([Segment(3.0, distance=1.0)], chain=block)
+        found = chain_modes(Ensemble(delay=Delay(1.0)), pulled)
+        assert (found.verdict, found.lowest) == (alone.verdict, 0.0)
+        error = found.softest.stderr + alone.growth.stderr
+        assert found.softest.value == pytest.approx(
+            alone.growth.value, rel=0, abs=error
+        )
+
+
 def test_what_has_no_modes_is_refused():
     for drive, said in (
         (chain(), "no perturbation grows or decays"),
