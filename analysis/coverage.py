@@ -171,7 +171,9 @@ def rate_and_state(law: str) -> Problem:
     time = np.linspace(0.0, 5.0, 121)
     ones, rows, names = np.ones(121), [MeasuredAt()] * 121, ["friction"] * 121
     table = Measurements(rows, names, ones, 3e-4 * ones, [], "", time)
-    fit = rates.problem_of(check(tomllib.loads(RECORD)), table, law, "displacement")
+    fit = rates.problem_of(
+        check(tomllib.loads(RECORD)), table, law, {"trend": "displacement"}
+    )
     truth = RATE_AND_STATE | {"trend": 1e-3}
     starts = [p._replace(start=p.variable(truth[p.key])) for p in fit.parameters]
     fit = replace(fit, parameters=starts, correlation=np.full(120, RHO))

@@ -112,7 +112,7 @@ def by_fit(X: np.ndarray, f: np.ndarray) -> dict[str, float]:
     sigma = np.full(t.size, 1e-3)
     rows, names = [MeasuredAt()] * t.size, ["friction"] * t.size
     table = Measurements(rows, names, f / f[0], sigma, [], "", t)
-    problem = rates.problem_of(check({"drive": drive}), table, "slip", "none")
+    problem = rates.problem_of(check({"drive": drive}), table, "slip", {})
     ends = [estimate.minimise(problem, u) for u in estimate.starts(problem, 8, 1)]
     best = min(ends, key=lambda one: one.chi2)
     values = problem.values(best.u)
