@@ -958,7 +958,7 @@ MISTAKES = [
       "or ensemble.changes_at_rest for", "or True for",
       "test_scatter.py::test_nothing_changes_in_cold_holds"),
     M("chain: peaks of a motion backwards are positive", "engine/chain_steps.py",
-      "event.peak = s.direction * s.peak", "event.peak = s.peak",
+      "event.peak = s.peak if s.direction > 0.0 else s.least", "event.peak = s.peak",
       "test_chain.py::test_events_of_a_motion_backwards_are_those_forwards"),
     M("chain: creep after a stationary start is an event", "engine/chain.py", "max(abs(speed), *map", "max(0.0, *map",
       "test_chain.py::test_creep_in_a_hold_is_no_event"),

@@ -140,7 +140,6 @@ def chained(
         *(laws, key, first, links, blocks, population),
         *(now, then, part, *rows, course, *lists),
     )
-    course["direction"] = 1.0
     if speed:
         before = contacts(ensemble, velocity)
         find_stationary(before, key, first, population, speed)
@@ -306,8 +305,8 @@ def _under_way(c: Chained) -> Array:
         "t": s["begin"],
         "duration": s["time"] - s["begin"],
         "blocks": blocks,
-        "peak": s["direction"] * s["peak"],
-        "drop": s["force"] - s["direction"] * force,
+        "peak": s["peak"] if s["direction"] > 0.0 else s["least"],
+        "drop": s["direction"] * (s["force"] - force),
         "energy": s["damped"] + s["lost"] - s["dissipated"],
     }.items():
         found[name] = value

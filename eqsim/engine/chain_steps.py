@@ -113,8 +113,9 @@ COURSE = np.dtype(
         ("begin", float),  # of the event
         ("dissipated", float),  # at its beginning
         ("force", float),  # of the springs at its beginning
+        ("direction", float),  # in which blocks moved then, 1 or -1
         ("peak", float),  # largest force of the springs since the event before
-        ("direction", float),  # of the drive, 1 or -1: `force` and `peak` are along it
+        ("least", float),  # and the least
         ("rows", np.int64),  # of the log of breaks
         ("events", np.int64),  # in the list of events
     ]
@@ -516,26 +517,24 @@ def _force(c: Chained) -> float:
 
 
 @routine(inline=True)
-def _watch(c: Chained, dt: float, speed: float) -> None:
-    """Tell when events begin and end, and when their blocks break, after a step while
-    what drives moves at `speed`."""
+def _watch(c: Chained, dt: float) -> None:
+    """Tell when events begin and end, and when their blocks break, after a step."""
     links, b, s = c.links, c.blocks, c.course[0]
     size = b.X.size
-    if speed * s.direction < 0.0:
-        s.direction = -s.direction
-        s.force = -s.force
-        s.peak = -math.inf
-    force = s.direction * _force(c)
+    force = _force(c)
     s.peak = max(s.peak, force)
-    fastest = 0.0
+    s.least = min(s.least, force)
+    fastest, motion = 0.0, 0.0
     for j in range(size):
         fastest = max(fastest, abs(b.V[j]))
+        motion += b.V[j]
     if fastest > links.fast and not s.going_on:
         s.going_on = True
         s.event += 1
         s.begin = s.time - dt
         s.dissipated = s.damped + s.lost
         s.force = force
+        s.direction = math.copysign(1.0, motion)
         b.broken.fill(0.0)
         for j in range(size):
             b.breaks_before[j] = b.breaks[j] - c.now[j].breaks * links.mean_count
@@ -563,12 +562,13 @@ def _watch(c: Chained, dt: float, speed: float) -> None:
         event.t = s.begin
         event.duration = s.time - s.begin
         event.blocks = blocks
-        event.peak = s.direction * s.peak
-        event.drop = s.force - force
+        event.peak = s.peak if s.direction > 0.0 else s.least
+        event.drop = s.direction * (s.force - force)
         event.energy = s.damped + s.lost - s.dissipated
         event.ended = True
         s.events += 1
     s.peak = force
+    s.least = force
 
 
 @routine(inline=True)
@@ -593,7 +593,7 @@ def _end_step(c: Chained, dt: float, until: float, speed: float, off: float) -> 
     s.dt = _next_step(c, dt, cut)
     if cut:
         s.time = until
-    _watch(c, dt, speed)
+    _watch(c, dt)
 
 
 @routine(inline=True)

@@ -589,8 +589,8 @@ def test_means_over_events_and_slip():
 def test_events_of_a_motion_backwards_are_those_forwards():
     """Contacts that begin without a stretch move backwards as forwards, to the last
     bit: the force has the other sign, and drops, sizes and means are the same. Behind a
-    motion forwards, too, drops are along the drive, and peaks are negative."""
-    contacts = Ensemble(Normal(std=0.05), delay=Delay(4.0), count=120)
+    motion forwards, too, drops are along the motion, and peaks are negative."""
+    contacts = Ensemble(Normal(std=0.05), Thermal(0.01), delay=Delay(4.0), count=120)
     chain = Chain(3, 10.0, 1.0, drive="edge", mass=1.0, damping=0.3, tolerance=1e-2)
 
     def events(*speeds):
