@@ -135,8 +135,9 @@ class Stability(Result):
     growth, period : Estimate
         Rate (1/time; negative: it decays) and period (time) of the slowest perturbation
         of steady sliding at this kappa_s; the period has no value if it does not
-        oscillate, neither has one if all decay within a fraction of a cycle, or not
-        exponentially (heavy-tailed thresholds). `stderr` is the error of the solver.
+        oscillate, neither has one if none is found: all decay within a fraction of a
+        cycle, or not exponentially (heavy-tailed thresholds), or, of contacts that heat
+        breaks or that age, behind very stiff springs. `stderr` is the solver's error.
     method : str
         Method by which perturbations were found.
     """

@@ -129,7 +129,10 @@ class StabilityResult(FileResult):
         if found.verdict == "neutral":
             yield f"neutral: {found.method}"
         elif found.growth.value is None and found.verdict == "stable":
-            yield "no rate: perturbations decay within a fraction of a cycle, or not exponentially"
+            yield (
+                "no rate found: perturbations decay within a fraction of a cycle, not "
+                "exponentially, or faster than can be told next to a resonance"
+            )
         if found.verdict == "undecided":
             yield "undecided: the rate is not known well enough to tell its sign"
 
