@@ -107,10 +107,7 @@ def chained(
     # A front breaks all contacts of a block within a step, however narrow their law.
     width = width_of(law) if free else law.mean
     barrier, aging = laws.barrier, laws.aging
-    velocity = 0.0  # before the programme
-    if programme.start == "stationary" and programme.velocity:
-        velocity = programme.velocity
-    speed = velocity / pace
+    speed = programme.velocity_before / pace
     links = Links(
         coupling=float(coupling),
         bulk=bulk,
@@ -141,7 +138,7 @@ def chained(
         *(now, then, part, *rows, course, *lists),
     )
     if speed:
-        before = contacts(ensemble, velocity)
+        before = contacts(ensemble, programme.velocity_before)
         find_stationary(before, key, first, population, speed)
     follow_all(c)
     course["dt"] = FIRST_STEP * pull.ends[0]

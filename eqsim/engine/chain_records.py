@@ -203,7 +203,7 @@ def fronts_of(broke: dict[str, Array], chain: Chain) -> dict[str, Array]:
     and the `replica`.
     """
     rows, ring = [], chain.edges == "periodic"
-    around = chain.count if ring else chain.count + 1
+    around = chain.count if ring else chain.count + 1  # -1 and B are no blocks
     names = np.stack((broke["replica"], broke["event"]))
     change = np.any(np.diff(names, axis=1) != 0, axis=0)
     for here in np.split(np.arange(change.size + 1), np.flatnonzero(change) + 1):

@@ -582,7 +582,7 @@ def follow_events(
     sliders["width"] = _FIRST_WIDTH
     sliders["lifetime"] = math.inf
     stage, shared = programme.stage, programme.rebinding == "shared"
-    speed = (programme.start == "stationary" and programme.velocity) or 0.0
+    speed = programme.velocity_before
 
     def block(first: int, last: int) -> Array:
         state = np.zeros((last - first, count), CONTACT)

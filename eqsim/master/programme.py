@@ -354,7 +354,7 @@ def course_of(ensemble: Ensemble, programme: Programme) -> tuple[Reduced, Course
     unit = ensemble.thresholds.scale
     time = sum(segment.duration for segment in programme.segments)
     velocity = np.array([segment.velocity for segment in programme.segments])
-    before = (programme.start == "stationary" and programme.velocity) or 0.0
+    before = programme.velocity_before
     speed = legs(ensemble, programme)[0].pace
     delay = ensemble.delay.at(ensemble.thermal.kT, speed)
     ensemble = replace(ensemble, delay=delay)

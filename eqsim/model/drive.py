@@ -345,6 +345,12 @@ class Programme(Checked):
         return any(load not in (None, 1.0) or rate for load, rate in loads)
 
     @property
+    def velocity_before(self) -> float:
+        """Velocity at which contacts slid before the programme (length/time); 0 from a
+        fresh start."""
+        return (self.start == "stationary" and self.velocity) or 0.0
+
+    @property
     def forced(self) -> bool:
         """True if forces pull the slider."""
         return all(segment.forced for segment in self.segments)

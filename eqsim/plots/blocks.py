@@ -150,7 +150,8 @@ def _image(
         sums = zip(each, counts_of, strict=True)
         summed = " × ".join(f"{step} {name}" for step, name in sums if step > 1)
         label += f",\nsums over {summed}" * bool(summed)
-    values = values if counts_of else values[:: each[0], :: each[1]]
+    else:
+        values = values[:: each[0], :: each[1]]
     limit = float(np.abs(values).max(initial=0.0)) or 1.0
     look: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
     if not spread:  # a few large values would leave all others in the dark

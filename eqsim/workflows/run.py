@@ -372,7 +372,7 @@ class SliderResult(ProgrammeResult):
 
     @property
     def _pulled_by(self) -> str:
-        """What pulls the slider: "force", "stage" or, without one, "motor"."""
+        """Name what pulls the slider: "force", "stage" or, without one, "motor"."""
         alone = "force" if self.drive.forced else "motor"
         return "stage" if self.drive.stage else alone
 

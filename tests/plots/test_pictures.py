@@ -332,7 +332,7 @@ SLIDER = "displacement of the slider"
     ids=["three", "one", "motor"],
 )  # fmt: skip
 def test_legends_of_sliders(tmp_path, changes, title, said):
-    """What errors are, of how many replicas lines are means, and what pulls."""
+    """Legends say what errors are, of how many replicas lines are means, what pulls."""
     path = tmp_path / "slider.toml"
     path.write_text(SLIPS)
     found = run(load(path, changes))

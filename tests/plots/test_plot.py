@@ -172,7 +172,7 @@ def test_columns_of_the_errors_of_healing_are_no_healing(end):
     ],
 )  # fmt: skip
 def test_errors_and_references_of_any_table(columns, said):
-    """What is no number is refused; nothing at all is none."""
+    """Errors and exact values that are no numbers are refused; empty ones are none."""
     table = pd.DataFrame({"x": [1.0, 2.0, 3.0], "y": [1.0, 2.0, 3.0]}).assign(**columns)
     if not said:
         assert len(marks(drawn(table, "x", "y")[0].axes[0])) == 3

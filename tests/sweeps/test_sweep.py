@@ -271,7 +271,7 @@ def test_an_axis_may_change_the_kind_of_drive(given, key, values, simulated, tmp
 
 
 def test_a_drive_that_an_axis_reads_is_refused(tmp_path):
-    """As that of [drive] is: its content is no part of a point."""
+    """The content of such a file is no part of a point, as of one in [drive]."""
     with pytest.raises(InputError, match=r"^drive.file: not allowed with \[sweep\]"):
         plan_of(BASE + '[sweep]\n"drive.file" = ["a.csv"]\n', tmp_path)
 

@@ -911,9 +911,9 @@ def single_contacts(monkeypatch, replicas, smaller=1.0):
 
 @pytest.mark.parametrize("replicas", [60, 200])
 def test_single_contacts_score_as_normal_numbers_do(replicas, monkeypatch):
-    """Of all outcomes of a hold, weighted with their exact probabilities, no more score
-    beyond 3.9, 4.3 and 4.7 than of normal numbers, and scores spread as these do, to
-    the 6 % by which Student's law of 59 degrees of freedom shrinks them; by the scatter
+    """Outcomes of a hold, weighted with their exact probabilities, score no more often
+    beyond 3.9, 4.3 and 4.7 than normal numbers, and scores spread as these do, to the
+    6 % by which Student's law of 59 degrees of freedom shrinks them; by the scatter
     of the sample alone it is twice to ten times as many. With errors a third as large
     one in ten is beyond 3.9."""
     z, chance = single_contacts(monkeypatch, replicas)
