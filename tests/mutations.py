@@ -1341,6 +1341,12 @@ MISTAKES = [
       "test_interrupts.py::test_a_process_that_cannot_answer_leaves_no_temporary_file"),
     M("interrupts: a lost one does nothing", "io/signals.py", "acknowledged.wait(_ANSWER)", "acknowledged.wait()",
       "test_faults.py::test_an_interrupt_that_is_lost_ends_the_process_all_the_same"),
+    M("output that is written at the end fails after the command", "cli/app.py",
+      "            finally:\n                _flush()", "            finally:\n                pass",
+      "test_faults.py::test_output_that_cannot_be_written"),
+    M("output that cannot be written is tried once more", "cli/app.py",
+      "        _drop_output()\n        raise\n", "        raise\n",
+      "test_faults.py::test_reader_that_has_left"),
     # replay, workers, errors
     M("replay: identities of now", "workflows/replay.py", ', table["id"].tolist())', ")",
       "test_replay.py::test_a_sweep_of_an_older_version"),

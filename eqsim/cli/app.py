@@ -27,7 +27,10 @@ class _Commands(TyperGroup):
     def main(self, *args: Any, **kwargs: Any) -> Any:
         kwargs |= {"prog_name": "eqsim", "standalone_mode": False}
         try:
-            code = super().main(*args, **kwargs)
+            try:
+                code = super().main(*args, **kwargs)
+            finally:
+                _flush()
         except _UsageError as error:
             said = error.format_message().removesuffix(".")
             # typer's messages, which do not tell the value
@@ -41,6 +44,8 @@ class _Commands(TyperGroup):
             if not isinstance(error.__context__, BrokenPipeError):
                 raise
             code = 0
+        except BrokenPipeError:  # the same; nothing to say
+            code = 0
         except OSError as error:
             complain(f"{error.filename or 'file system'}: {error.strerror or error}")
             code = 2
@@ -53,11 +58,25 @@ class _Commands(TyperGroup):
             _fail(typed(str(error)), 2)
         except MemoryError:
             _fail("not enough memory; fewer output.points need less", 2)
-        except BrokenPipeError:  # the reader has left; nothing to say
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        except BrokenPipeError:  # the reader has left
+            _drop_output()
         except KeyboardInterrupt as stop:
             said = f"interrupted; {stop}" if str(stop) else signals.MESSAGE
             _fail(said, signals.acknowledge())
+
+
+def _flush() -> None:
+    """Write what was printed while a failure can still be told."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _drop_output()
+        raise
+
+
+def _drop_output() -> None:
+    """Let what cannot be written not be tried again at the end of Python."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _fail(message: str, code: int) -> NoReturn:

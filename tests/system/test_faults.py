@@ -602,46 +602,60 @@ def test_a_sweep_on_a_full_disk_names_the_file(run_file, tmp_path):
     assert not [name for name in names(out) if ".eqsim-" in name]
 
 
-@pytest.mark.parametrize(
-    "command", [("info", "a.toml"), pytest.param(("--help",), marks=pytest.mark.long)]
+# Whether output is written when it is printed or at the end: what a shell starts does
+# the latter, unless it is told not to.
+AT_ONCE = pytest.mark.parametrize(
+    "at_once", [False, True], ids=["at the end", "at once"]
 )
-def test_output_that_cannot_be_written(run_file, tmp_path, command):
-    with open("/dev/full", "w") as full:
-        done = subprocess.run(
-            [sys.executable, "-c", EQSIM, *command],
-            cwd=tmp_path,
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-    assert (done.returncode, done.stderr) == (
-        2,
-        "eqsim: file system: No space left on device\n",
-    )
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("steady", "a.toml"),
-        pytest.param(("info", "a.toml", "--json"), marks=pytest.mark.long),
-        ("--help",),
-    ],
-)
-def test_reader_that_has_left(run_file, tmp_path, command):
-    """As with `eqsim ... | head`: nothing is wrong, and nobody listens."""
-    unread, output = os.pipe()
-    os.close(unread)
+def run_with(output, command, at_once, folder):
+    """Exit code and messages of a command whose output goes to `output`."""
     done = subprocess.run(
-        [sys.executable, "-c", EQSIM, *command],
-        cwd=tmp_path,
+        [sys.executable, *["-u"] * at_once, "-c", EQSIM, *command],
+        cwd=folder,
+        env={**os.environ, "PYTHONUNBUFFERED": ""},
         stdout=output,
         stderr=subprocess.PIPE,
         text=True,
     )
-    os.close(output)
-    assert (done.returncode, done.stderr) == (0, "")
+    return done.returncode, done.stderr
+
+
+@AT_ONCE
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("info", "a.toml", "--json"),
+        pytest.param(("info", "a.toml"), marks=pytest.mark.long),
+        pytest.param(("--help",), marks=pytest.mark.long),
+    ],
+)
+def test_output_that_cannot_be_written(run_file, tmp_path, command, at_once):
+    with open("/dev/full", "w") as full:
+        assert run_with(full, command, at_once, tmp_path) == (
+            2,
+            "eqsim: file system: No space left on device\n",
+        )
+
+
+@AT_ONCE
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("info", "a.toml", "--json"),
+        pytest.param(("steady", "a.toml"), marks=pytest.mark.long),
+        pytest.param(("--help",), marks=pytest.mark.long),
+    ],
+)
+def test_reader_that_has_left(run_file, tmp_path, command, at_once):
+    """As with `eqsim ... | head`: nothing is wrong, and nobody listens."""
+    unread, output = os.pipe()
+    os.close(unread)
+    try:
+        assert run_with(output, command, at_once, tmp_path) == (0, "")
+    finally:
+        os.close(output)
 
 
 @pytest.mark.parametrize("command", ["info", "run"])
