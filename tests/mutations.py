@@ -1197,6 +1197,8 @@ MISTAKES = [
     M("run: a peak in another unit is called a force", "workflows/run.py",
       "peak_{quantity.short if quantity else 'force'}", "peak_force",
       "test_cli.py::test_the_peak_is_called_what_it_is"),
+    M("terminal: narrow ones lose columns", "io/terminal.py", "console.width = max(console.width, least)", "pass",
+      "test_cli.py::test_tables_break_no_word"),
     M("terminal: counts that round up", "io/terminal.py", 'number = float(f"{number:.3g}")', "number = float(number)",
       "test_cli.py::test_rounded_counts_and_times"),
     M("plot: heat of a fixed temperature along a curve", "plots/sweeps.py", "and key not in replaced", "",

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rich.console import Console
+from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
 from rich.table import Table
 from rich.text import Text
@@ -18,6 +19,7 @@ from eqsim.numerics.kernel_folder import compiling_since
 LONG_ATTEMPT = 20.0  # seconds from which on the time left is announced
 _COMPILING = 1.0  # seconds after which the bar says that kernels are compiled
 _FILE_WIDTH = 100  # width of a table that goes to a file
+_WIDEST = 10_000  # beyond the width of any table
 _LEFT_COLUMNS = ("", "group", "meaning", "unit")  # words, which begin at the left
 
 
@@ -58,6 +60,9 @@ class Report:
             )
         for row in rows:
             table.add_row(*map(Text, row))
+        wide = console.options.update(max_width=_WIDEST)
+        least = Measurement.get(console, wide, table).minimum
+        console.width = max(console.width, least)  # rich would leave columns empty
         console.print(Text(self.title, style="bold"), table, crop=False)
 
 

@@ -806,7 +806,7 @@ WIDE = [
 
 
 @pytest.mark.parametrize(("columns", "row"), WIDE)
-@pytest.mark.parametrize("width", [60, 80])
+@pytest.mark.parametrize("width", [1, 40, 60, 80])
 def test_tables_break_no_word(columns, row, width, capsys, monkeypatch):
     """At 80 columns all fit; on a narrower terminal a table is wider than that rather
     than cut."""
