@@ -68,7 +68,8 @@ class _Commands(TyperGroup):
 def _flush() -> None:
     """Write what was printed while a failure can still be told."""
     try:
-        sys.stdout.flush()
+        if sys.stdout is not None:  # a shell may have closed it
+            sys.stdout.flush()
     except OSError:
         _drop_output()
         raise

@@ -198,7 +198,8 @@ class SimulatedFile(FileResult, Listed):
         run, count = self.trajectory, self.ensemble.count * self.file.output.replicas
         contacts = f" of {terminal.count(count)} contacts"
         speed = terminal.lives(run.lives, run.engine_seconds, contacts)
-        yield f"{speed}, {run.threads} {self.who}, seed {run.seed}"
+        who = self.who if run.threads > 1 else self.who.removesuffix("s")
+        yield f"{speed}, {run.threads} {who}, seed {run.seed}"
         if self.exact.reason:
             yield f"no exact curve: {self.exact.reason}"
         elif heat_is_idle(self.ensemble, self.drive):

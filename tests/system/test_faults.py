@@ -658,6 +658,25 @@ def test_reader_that_has_left(run_file, tmp_path, command, at_once):
         os.close(output)
 
 
+def test_output_that_is_closed(run_file, tmp_path):
+    done = subprocess.run(
+        [
+            "sh",
+            "-c",
+            'exec "$@" >&-',
+            "sh",
+            sys.executable,
+            "-c",
+            EQSIM,
+            "info",
+            run_file,
+        ],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 @pytest.mark.parametrize("command", ["info", "run"])
 def test_a_run_file_without_an_end(tmp_path, command):
     done = CliRunner().invoke(app, [command, "/dev/zero"])
