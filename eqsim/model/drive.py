@@ -1,7 +1,7 @@
 """Drives of the slider, and the recording of a run."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -264,7 +264,7 @@ class Programme(Checked):
     [0.0, 2.5, 5.0, 5.0, 5.0]
     """
 
-    segments: tuple[Segment, ...]
+    segments: Sequence[Segment]
     start: Start = "fresh"
     velocity: Positive | None = None
     stage: Stage | None = None

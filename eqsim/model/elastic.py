@@ -12,6 +12,7 @@ moves block j by G_ji k x, G = (diag(K_j + n_j k) + kappa_b L)^-1.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -75,7 +76,7 @@ class Elastic(Checked):
     edges: Literal["open", "periodic"] = "open"
     drive: Literal["plate", "edge", "both"] = "plate"
     edge_stiffness: Spring | None = None
-    load: tuple[float, ...] | None = None
+    load: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

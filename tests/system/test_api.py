@@ -42,6 +42,8 @@ reveal_type(Ensemble)
 reveal_type(steady("x.toml", changes={"thermal.kT": 0.1}).friction.value)
 reference(Ensemble(), 0.1)
 eqsim.Ensembel
+eqsim.Programme([eqsim.Segment(0.1, distance=2.0)])
+eqsim.Elastic(2, 1.0, 0.5, load=[1.0, 3.0])
 """
 RUN = """[contacts]
 count = 200
