@@ -56,7 +56,7 @@ INSTANTS = 2000  # at which eqsim records the force of the second half
 class Clutch(NamedTuple):
     """Motors and clutches: pN, nm and s."""
 
-    count: int = 75  # of motors and of clutches
+    count: int = 75  # type: ignore[assignment]  # of motors and of clutches
     stall: float = 2.0  # force at which a motor stops
     velocity: float = 120.0  # of the motors without a load
     stiffness: float = 0.8  # of a clutch
@@ -142,6 +142,7 @@ def by_events(
         stall_force=clutch.stall / clutch.stiffness,
     )
     run = trajectory(bonds, motors, points=2, replicas=cells, seed=seed)
+    assert run.force_replicas is not None  # there are several cells
     force = run.force_replicas[:, -INSTANTS:].mean(axis=1) * clutch.stiffness
     bound = np.full(cells, run.pinned[-INSTANTS:].mean())
     return means_of(np.array((force, bound)), begin)
@@ -152,7 +153,8 @@ def means_of(each: Array, begin: float) -> Means:
     value, error = each.mean(axis=1), each.std(axis=1, ddof=1)
     error /= math.sqrt(each.shape[1])
     seconds = time.perf_counter() - begin
-    return Means(*map(float, (value[0], error[0], value[1], error[1])), seconds)
+    force, bound = zip(value.tolist(), error.tolist(), strict=True)
+    return Means(*force, *bound, seconds=seconds)
 
 
 def duration_on(clutch: Clutch, substrate: float) -> float:

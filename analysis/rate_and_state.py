@@ -70,7 +70,9 @@ def by_derivative(kT: float, beta: float, v: float) -> dict[str, float]:
 
     def friction(log_v: float, log_cutoff: float) -> float:
         ensemble = contacts(kT, beta, CUTOFF_TIME * math.exp(log_cutoff))
-        return reference(ensemble, Drive(v * math.exp(log_v))).friction.value
+        found = reference(ensemble, Drive(v * math.exp(log_v))).friction.value
+        assert found is not None  # it does not diverge
+        return found
 
     h, f = DIFFERENCE, friction(0.0, 0.0)
     direct = (friction(h, -h) - friction(-h, h)) / (2 * h * f)
@@ -92,8 +94,8 @@ def by_step(X: np.ndarray, f: np.ndarray) -> dict[str, float]:
     x, y = X[after] - 0.5, change[after]
     top, level = int(np.argmax(y)), float(y[-1])
     peak, way = float(y[top]), (y[top:] - level) / (y[top] - level)
-    after = int(np.argmax(way < 1.0 / math.e))
-    last = slice(after - 1, after + 1)
+    below = int(np.argmax(way < 1.0 / math.e))
+    last = slice(below - 1, below + 1)
     memory = float(np.interp(-1.0 / math.e, -way[last], x[top:][last]) - x[top])
     return {"a": peak, "b": peak - level, "a-b": level, "D_c": memory}
 

@@ -176,7 +176,7 @@ def names() -> list[str]:
     """Every public name with the first sentence of its documentation, and whether it is
     stable."""
     rows = []
-    for name in eqsim.__all__:
+    for name in eqsim.__all__:  # type: ignore[attr-defined] # made when asked for
         what = getattr(eqsim, name)
         said = (
             inspect.getdoc(what)

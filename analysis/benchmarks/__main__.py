@@ -69,9 +69,12 @@ def measure(sizes: Sizes, threads: int, console: Console) -> pd.DataFrame:
     )
     rows += measure_memory(sizes) + time_start(sizes)
     about = {f"{name}_version": version(name) for name in ("eqsim", "numba", "numpy")}
-    about |= {"compiler": tuned.compiler_version(), "load": os.getloadavg()[0]}
+    about["compiler"] = tuned.compiler_version()
     return pd.DataFrame(rows).assign(
-        thread_count=threads, contacts=sizes.contacts, **about
+        thread_count=threads,
+        contacts=sizes.contacts,
+        load=os.getloadavg()[0],
+        **about,
     )
 
 

@@ -120,8 +120,9 @@ def _erfi_inverse() -> Array:
         low = 2.0 ** (cell // 2 - 1) * (1.0 + 0.5 * (cell % 2))
         high = 2.0 ** (cell // 2 - 1) * (1.5 + 0.5 * (cell % 2))
         middle, half = (low + high) / 2, (high - low) / 2
-        series = chebyshev.chebinterpolate(
-            lambda t, middle=middle, half=half: _ratio(middle + half * t - 0.5), DEGREE
+        series = chebyshev.chebinterpolate(  # type: ignore[type-var]
+            lambda t, middle=middle, half=half: _ratio(middle + half * t - 0.5),  # type: ignore[misc]
+            DEGREE,
         )
         powers = chebyshev.cheb2poly(series) / half ** np.arange(DEGREE + 1)
         table[:, (2 * 1022 + cell) % 16] = [middle, *powers[::-1]]

@@ -3,16 +3,16 @@ high-velocity forms and a fit of a logarithm."""
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from eqsim import Ensemble, Thermal
 from eqsim.master.closed_forms import Published
 from eqsim.paper import numbered, printed
-from eqsim.plots.style import VERMILION
+from eqsim.plots.style import BLUE, VERMILION
 
 from .common import (
     ANNEALED,
-    BLUE,
     QUENCHED,
     SCORES_LABEL,
     WIDTH,
@@ -70,7 +70,7 @@ def formulas(table: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def draw_deviations(axes, table: pd.DataFrame) -> None:
+def draw_deviations(axes: Axes, table: pd.DataFrame) -> None:
     """|approximation/exact - 1| against velocity."""
     exact = solved(table, "annealed").set_index("velocity").friction
     for name, style in FORMULAS.items():

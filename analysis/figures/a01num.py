@@ -5,8 +5,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from eqsim import Ensemble, Thermal
+from eqsim.plots.style import BLUE
 
-from .common import BLUE, SCORES_LABEL, WIDTH, Curve, draw, log_grid, scores
+from .common import SCORES_LABEL, WIDTH, Curve, draw, log_grid, scores
 
 STYLES = {
     ("soft", 0.01): {"color": BLUE, "linestyle": ":", "marker": "^"},

@@ -67,8 +67,8 @@ def plot(table: pd.DataFrame) -> Figure:
     )
     for panel, strip, model in zip(top, bottom, MODELS, strict=True):
         for D, style in rates(model):
-            cold = {"linewidth": 0.8, "linestyle": "--", "alpha": 0.8}
-            draw(panel, table, aging_name(model, D, 0.0), style, **cold)
+            dashes = {"linewidth": 0.8, "linestyle": "--", "alpha": 0.8}
+            draw(panel, table, aging_name(model, D, 0.0), style, **dashes)
             draw(panel, table, aging_name(model, D, 1.0), style, LABELS[D])
         panel.set(ylim=(0, 0.8), title=MODEL_TITLES[model])
         scores(

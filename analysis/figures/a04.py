@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from eqsim.master.closed_forms import PublishedAging
 from eqsim.paper import printed
 
-from . import a02
+from .common import RATES as ALL_RATES
 from .common import (
     SERIES,
     WIDTH,
@@ -24,7 +24,7 @@ from .common import (
 )
 
 RATES = (1.0, 0.1, 0.01, 0.001)
-STYLES = dict(zip(a02.RATES, SERIES, strict=True))
+STYLES = dict(zip(ALL_RATES, SERIES, strict=True))
 VELOCITIES, POINTS = log_grid(1e-2, 1e4, 49), log_grid(1e-1, 1e3, 5)
 MODELS = ("annealed", "flow")
 LOOKS = {

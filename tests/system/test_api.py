@@ -81,7 +81,7 @@ def test_a_type_checker_sees_classes(tmp_path):
         str(tmp_path),
     ]
     done = subprocess.run(
-        [*command, "eqsim", str(tmp_path / "user.py")],
+        [*command, "eqsim", "analysis", str(tmp_path / "user.py")],
         cwd=ROOT,
         capture_output=True,
         text=True,
