@@ -1898,7 +1898,7 @@ class Copy:
         )
         return Path(done.stdout.strip())
 
-    def pytest(self, *arguments: str) -> tuple[int, str]:
+    def pytest(self, *arguments: str, limit: float | None = LONGEST) -> tuple[int, str]:
         """Exit code and output; -1 if it had to be ended."""
         command = [
             sys.executable,
@@ -1916,7 +1916,7 @@ class Copy:
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         )  # fmt: skip
         try:
-            output, _ = process.communicate(timeout=LONGEST)
+            output, _ = process.communicate(timeout=limit)
             return process.returncode, output
         except subprocess.TimeoutExpired:
             return -1, ""
@@ -2000,7 +2000,7 @@ def run(mistakes: list[Mistake], whole: bool) -> list[Fate]:
     with tempfile.TemporaryDirectory() as folder:
         copy = Copy(Path(folder))
         print(f"{len(ids(left))} tests without a mistake", flush=True)
-        code, output = copy.pytest(*nearest(left))
+        code, output = copy.pytest(*nearest(left), limit=None)
         if code:
             raise WrongTable(f"without a mistake:\n{output[-3000:]}")
         for number, mistake in enumerate(left, 1):
