@@ -1,6 +1,6 @@
 """Deliberate mistakes, one at a time: does a test notice?
 
-    python tests/mutations.py [--list] [--only PART ...] [--whole] [--json FILE]
+    python tests/mutations.py [--list] [--only PART ...] [--whole] [--json FILE] [--workers N]
 
 Each mistake of `MISTAKES` is made in a temporary copy of the repository, where the
 tests nearest to it are run with all their cases, and with --whole the default suite if
@@ -22,6 +22,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import defaultdict
+from concurrent import futures
 from pathlib import Path
 from typing import NamedTuple
 
@@ -1879,6 +1881,9 @@ class Copy:
             "PYTHONPATH": str(self.root),
             "PYTHONDONTWRITEBYTECODE": "1",
         }
+        self.environment.pop("NUMBA_CACHE_DIR", None)  # kernels are of this copy
+        self.running: subprocess.Popen[str] | None = None
+        self.stopped = False
         self.known = self.kernels()
 
     def kernels(self) -> Path:
@@ -1900,6 +1905,8 @@ class Copy:
 
     def pytest(self, *arguments: str, limit: float | None = LONGEST) -> tuple[int, str]:
         """Exit code and output; -1 if it had to be ended."""
+        if self.stopped:
+            return -1, ""
         command = [
             sys.executable,
             "-m",
@@ -1911,7 +1918,7 @@ class Copy:
             "no:cacheprovider",
             *arguments,
         ]
-        process = subprocess.Popen(
+        self.running = process = subprocess.Popen(
             command, cwd=self.root, env=self.environment, text=True, start_new_session=True,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         )  # fmt: skip
@@ -1921,9 +1928,18 @@ class Copy:
         except subprocess.TimeoutExpired:
             return -1, ""
         finally:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
-                process.communicate()
+            self.end()
+
+    def end(self) -> None:
+        """End the tests that are running, if any are."""
+        if self.running and self.running.poll() is None:
+            os.killpg(self.running.pid, signal.SIGKILL)
+            self.running.wait()
+
+    def stop(self) -> None:
+        """Make no further mistake."""
+        self.stopped = True
+        self.end()
 
     def judge(self, mistake: Mistake, whole: bool) -> tuple[str, str]:
         """The fate of a mistake, and by what."""
@@ -1989,29 +2005,66 @@ def nearest(mistakes: list[Mistake]) -> list[str]:
     return ["-n", "0", "-m", "not long", *ids(mistakes)]
 
 
-def run(mistakes: list[Mistake], whole: bool) -> list[Fate]:
-    """Make one mistake after the other. Raises WrongTable."""
-    fates = [
-        Fate(mistake.name, "equivalent", mistake.same, 0.0)
+def parts_of(mistakes: list[Mistake], count: int) -> list[list[Mistake]]:
+    """Parts that take about as long. Mistakes whose tests are in one file are of one
+    part, so that its kernels are compiled once."""
+    by_file = defaultdict(list)
+    for mistake in mistakes:
+        by_file[mistake.tests.split("::")[0]].append(mistake)
+    times = [
+        (sum(60.0 if needs_kernels(mistake) else 8.0 for mistake in group), name)
+        for name, group in by_file.items()
+    ]
+    parts: list[list[Mistake]] = [[] for _ in range(count)]
+    loads = [0.0] * count
+    for seconds, name in sorted(times, reverse=True):
+        least = loads.index(min(loads))
+        parts[least] += by_file[name]
+        loads[least] += seconds
+    return [part for part in parts if part]
+
+
+def run(mistakes: list[Mistake], whole: bool, workers: int) -> list[Fate]:
+    """Make one mistake after the other, in copies side by side. Raises WrongTable."""
+    left = [mistake for mistake in mistakes if not mistake.same]
+    fates = {
+        mistake.name: Fate(mistake.name, "equivalent", mistake.same, 0.0)
         for mistake in mistakes
         if mistake.same
-    ]
-    left = [mistake for mistake in mistakes if not mistake.same]
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Copy(Path(folder))
-        print(f"{len(ids(left))} tests without a mistake", flush=True)
-        code, output = copy.pytest(*nearest(left), limit=None)
-        if code:
+    }
+    equivalent = len(fates)
+
+    def judge(copy: Copy, part: list[Mistake]) -> None:
+        print(f"{len(ids(part))} tests without a mistake", flush=True)
+        code, output = copy.pytest(*nearest(part), limit=None)
+        if code and not copy.stopped:
             raise WrongTable(f"without a mistake:\n{output[-3000:]}")
-        for number, mistake in enumerate(left, 1):
+        for mistake in part:
             begin = time.monotonic()
             fate, by = copy.judge(mistake, whole)
-            fates.append(Fate(mistake.name, fate, by, time.monotonic() - begin))
+            if copy.stopped:
+                return
+            found = Fate(mistake.name, fate, by, time.monotonic() - begin)
+            fates[mistake.name] = found
             print(
-                f"{number} of {len(left)}: {mistake.name}: {fate} {by} [{fates[-1].seconds:.0f} s]",
+                f"{len(fates) - equivalent} of {len(left)}: {mistake.name}: {fate} {by} [{found.seconds:.0f} s]",
                 flush=True,
             )
-    return fates
+
+    with tempfile.TemporaryDirectory() as folder, futures.ThreadPoolExecutor() as pool:
+        parts = parts_of(left, workers)
+        copies = [Copy(Path(folder, str(number))) for number in range(len(parts))]
+        running = [
+            pool.submit(judge, *pair) for pair in zip(copies, parts, strict=True)
+        ]
+        try:
+            done, _ = futures.wait(running, return_when=futures.FIRST_EXCEPTION)
+            for each in done:
+                each.result()
+        finally:
+            for copy in copies:
+                copy.stop()
+    return [fates[mistake.name] for mistake in mistakes]
 
 
 def main() -> int:
@@ -2038,6 +2091,13 @@ def main() -> int:
     parser.add_argument(
         "--json", type=Path, metavar="FILE", help="write the result there, too"
     )
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=os.cpu_count(),
+        metavar="N",
+        help="copies in which mistakes are made side by side; by default one a processor",
+    )
     given = parser.parse_args()
     chosen = [
         mistake
@@ -2052,7 +2112,7 @@ def main() -> int:
         if given.list:
             print("\n".join(f"{mistake.name} ({mistake.file})" for mistake in chosen))
             return 0
-        fates = run(chosen, given.whole)
+        fates = run(chosen, given.whole, given.workers)
     except WrongTable as error:
         print(f"mutations.py: {error}", file=sys.stderr)
         return 2
