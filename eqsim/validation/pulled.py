@@ -246,9 +246,9 @@ def pieces(point: Point, plan: Suite) -> Found:
         _pinned(held, waits, looks, held.stream(7, number), plan)
         for number, looks in enumerate((1, _LOOKS))
     )
-    if once.value == often.value:
-        unseen = 1.0 / (math.sqrt(12.0) * held.contacts * plan.replicas)
-        once = replace(once, value=(once.value or 0.0) + unseen)
+    one = 1.0 / (held.contacts * plan.replicas)
+    if abs(known(once) - known(often)) < 0.5 * one:  # rounding of means differs
+        once = replace(once, value=known(often) + one / math.sqrt(12.0))
     return [held.score("pieces", once, often, 0.0)]
 
 
