@@ -34,6 +34,13 @@ def pytest_collection_modifyitems(config, items):
         raise pytest.UsageError(f"slow_cases.txt: no such case: {min(gone)}")
 
 
+@pytest.fixture
+def not_by_events(monkeypatch):
+    """Few contacts behind a spring are followed as many are: in steps, or break by
+    break where only a rising force breaks them."""
+    monkeypatch.setattr("eqsim.engine.events.MOST_CONTACTS", 0)
+
+
 def pytest_collection_finish():
     gc.freeze()  # tests and modules stay until the end
 

@@ -128,6 +128,7 @@ def test_behind_a_stage():
 
 
 @pytest.mark.verification
+@pytest.mark.usefixtures("not_by_events")
 @pytest.mark.parametrize("law", ["uniform", "sqrt"])
 def test_a_quasi_static_stage(law):
     """Break by break, 10 ensembles of 1e4 contacts behind a spring of kappa = 1, at
@@ -149,6 +150,7 @@ def test_a_quasi_static_stage(law):
     assert largest_z(again, exact.force, exact.pinned) > 4.5
 
 
+@pytest.mark.usefixtures("not_by_events")
 @pytest.mark.parametrize("count", [1, 2, 10])
 def test_small_bundles_break_down_at_once(count):
     """Behind a soft spring all that is left breaks in one avalanche: it has no force

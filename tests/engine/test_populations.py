@@ -4,6 +4,7 @@ Seeds are fixed; stated false-alarm rates are those of a fresh seed.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from eqsim import (
     Drive,
     Elastic,
     Ensemble,
+    Estimate,
     Gamma,
     InputError,
     Interface,
@@ -44,6 +46,7 @@ from eqsim import (
 from eqsim.engine import slider
 from eqsim.master import slider as mean_field
 from eqsim.model.ensemble import Kind, split
+from eqsim.model.mixture import mixed_averages
 
 STRONG = Population(
     0.3, 4.0, Gamma(3.0, x_star=2.0), Thermal(kT=0.4), Delay(2.0, "exponential")
@@ -256,6 +259,47 @@ def test_one_population_is_the_ensemble_to_the_last_bit(drive):
     ours, theirs = (trajectory(x, drive, points=11, replicas=2) for x in (only, alone))
     for name, column in ours.columns().items():
         assert np.array_equal(column, theirs.columns()[name], equal_nan=True), name
+
+
+def test_errors_of_means_over_breaks():
+    """In first order, by differences: of a kind's travel and stretch at birth, which may
+    be off together, and of all kinds in quadrature or as bounds."""
+    errors, step = np.array([[0.03, 0.01], [0.02, 0.04]]), 1e-6
+
+    def averages(births, travels):  # of both kinds
+        each = []
+        for birth, travel, (of_birth, of_travel) in zip(
+            births, travels, errors, strict=True
+        ):
+            found = dict.fromkeys(OBSERVABLES, Estimate(0.5, 0.1, 9))
+            found["birth_stretch"] = Estimate(birth, of_birth, 9)
+            found["travel"] = Estimate(travel, of_travel, 9)
+            found["break_stretch"] = Estimate(birth + travel, None, 9)
+            each.append(SimpleNamespace(**found))
+        return each
+
+    at = np.array([[0.3, 0.1], [1.5, 0.4]])
+    names = ("birth_stretch", "travel", "break_stretch")
+
+    def values(births, travels):
+        mixed = mixed_averages(MIX.kinds, averages(births, travels), 0.7)
+        return np.array([mixed[name].value for name in names])
+
+    slopes = np.empty((2, 2, 3))  # quantities, kinds, means
+    for place in np.ndindex(2, 2):
+        beyond, before = at.copy(), at.copy()
+        beyond[place] += step
+        before[place] -= step
+        slopes[place] = np.abs(values(*beyond) - values(*before)) / (2.0 * step)
+    of_kinds = np.sum(slopes * errors.T[:, :, None], axis=0)
+    for bounds, known in (
+        (False, np.sqrt(np.sum(of_kinds**2, axis=0))),
+        (True, of_kinds.sum(axis=0)),
+    ):
+        mixed = mixed_averages(MIX.kinds, averages(*at), 0.7, bounds)
+        stated = [mixed[name].stderr for name in names]
+        # differences are of second order, and rounded to 1e-10
+        np.testing.assert_allclose(stated, known, rtol=1e-8, atol=0)
 
 
 BIRTHS = [Newborn(), Newborn("normal", mean=0.1, std=0.05)]

@@ -37,6 +37,7 @@ from eqsim.engine.lanes import (
     idle_lanes,
 )
 from eqsim.engine.records import Slip, _mean_over
+from eqsim.engine.slider import BreakRates, Slider
 from eqsim.laws.aging.base import Held, spend
 from eqsim.master import slider
 from eqsim.master.avalanche_sizes import load_of, missed_by_few, size_law
@@ -220,6 +221,7 @@ def test_energy_and_threads(ensemble, stage, monkeypatch):
 
 
 @pytest.mark.verification
+@pytest.mark.usefixtures("not_by_events")
 def test_a_stiff_spring_is_a_rigid_slider():
     """X is that of the stage less F/kappa, but for what a step misses of F, which is up
     to its length where the motion turns. In the first segment contacts are the same,
@@ -263,6 +265,7 @@ def test_thresholds_grow_behind_a_stiff_spring():
     assert np.abs(stiff.force - rigid.force).max() < 1e-4 + 6 * 7.0 / 2_000
 
 
+@pytest.mark.usefixtures("not_by_events")
 def test_nothing_holds_the_slider():
     """Neither damping nor mass: slips take no time, and the slider never goes back by
     as much as its longest step, which is the root of the tolerance times the width of
@@ -272,6 +275,29 @@ def test_nothing_holds_the_slider():
     assert len(found.slips) >= 1
     assert np.diff(found.X).min() > -0.01
     assert np.abs(found.spring - found.force)[1:].max() < 5e-3
+
+
+@pytest.mark.usefixtures("not_by_events")
+def test_steady_sliding_takes_the_longest_steps(monkeypatch):
+    """The estimate of F knows of breaks, so that steps are about as long as the root of
+    the tolerance allows. Negative control: without it they are cut."""
+    longest, step = [], Slider.step
+
+    def noted(slider, *given):
+        longest.append(slider.longest)
+        return step(slider, *given)
+
+    monkeypatch.setattr(Slider, "step", noted)
+
+    def steps_for_one():
+        # as two sliders move by 4, one of them in longer steps
+        longest.clear()
+        pulled(replace(DELAYED, count=20_000), 40.0, Stage(1.0), 11)
+        return sum(longest) / (2.0 * 4.0)
+
+    assert steps_for_one() < 1.5
+    monkeypatch.setattr(BreakRates, "rho", 0.0)
+    assert steps_for_one() > 5.0
 
 
 def test_a_heavy_slider():

@@ -296,6 +296,7 @@ def held(count, replicas, points, segment=None, **how):
     return run.pinned[-1], run.pinned_stderr[-1]
 
 
+@pytest.mark.usefixtures("not_by_events")
 @pytest.mark.parametrize(
     ("count", "replicas", "points", "segment"),
     [
@@ -326,6 +327,7 @@ def test_a_hold_behind_a_spring(count, replicas, points, segment):
     assert abs(found - shorter) > 4.5 * math.hypot(error, missing)
 
 
+@pytest.mark.usefixtures("not_by_events")
 @pytest.mark.parametrize("damping", [0.1, 0.0])
 def test_a_slow_stage_takes_no_time_to_slip(damping):
     """A preload lets a slider slip at once; behind a stage so slow that the hold is

@@ -28,6 +28,7 @@ from eqsim.laws.barrier.stiff import Stiff
 from eqsim.laws.stiffness import relative_stiffness
 from eqsim.numerics import streams, tables
 from eqsim.numerics.streams import TRAJECTORY, key
+from eqsim.numerics.vector_math import FLAT
 
 look_up, uniforms = compiled(tables.look_up), compiled(streams.uniforms)
 soft_odds, soft_rank = compiled(soft._odds), compiled(soft._rank)
@@ -205,7 +206,8 @@ def stretches(barrier, xi, a, log_w, clock):
 def round_trip(barrier, xi, a, log_w, clock):
     """Where exp(log_w) H(x) = clock or x = xi: by how much, in units of what is
     allowed, the answers miss. Allowed are the relative error of x (table and a few eps)
-    times d ln H/d ln x, and a few eps of each term of ln(w H/clock)."""
+    times d ln H/d ln x, and a few eps of each term of ln(w H/clock); of high barriers
+    all but `Stiff` solve for the gap to the threshold, whose terms are below FLAT."""
     x = stretches(barrier, xi, a, log_w, clock)
     assert np.all((x > 0) & (x <= xi))
     log_h = barrier.log_hazard(x, xi, a)
@@ -218,8 +220,9 @@ def round_trip(barrier, xi, a, log_w, clock):
     if barrier is Soft:
         steepness[~inside] = (np.sqrt(a) * xi / special.dawsn(np.sqrt(a) * xi))[~inside]
     relative = 16 * EPS + (INVERSE_ERROR if barrier is Soft else 0.0)
+    highest = math.inf if barrier is Stiff else FLAT
     allowed = relative * steepness + 16 * EPS * (
-        1 + np.abs(log_w) + a * xi**2 + np.abs(np.log(clock))
+        1 + np.abs(log_w) + np.minimum(a * xi**2, highest) + np.abs(np.log(clock))
     )
     # a clock may show more than H(xi)
     missed = np.where(inside, np.abs(residual), np.maximum(residual, 0.0))

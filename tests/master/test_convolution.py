@@ -2,6 +2,7 @@
 and infinite densities."""
 
 import itertools
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from eqsim import (
     transient,
 )
 from eqsim.laws.named import Exponential, Lognormal, Normal, Pareto, Uniform, Weibull
+from eqsim.master.transient import _with_error
 
 VELOCITY = 0.1
 LATTICE = 0.01  # on which thresholds of discrete laws, delays and distances are
@@ -189,6 +191,18 @@ def test_transients_are_those_of_the_lattice(kind, seed):
     """Quoted errors are bounds: none of the hundreds of points of either observable is
     beyond."""
     assert max(z.max() for z in scores(drawn(kind, seed))) <= 1.0
+
+
+def test_errors_of_lives_are_passed_on():
+    """A life that is known to 1e-3 is one of all that were born since: where the force
+    has fallen its error has not."""
+    falling = np.abs(np.cos(np.linspace(-1.0, 3.0, 41)))[None, :]
+    cells = SimpleNamespace(
+        profile=SimpleNamespace(error=1e-3, jumps=False), in_step=0.0
+    )
+    _, error = _with_error(falling, falling, cells, np.zeros((1, 1)))
+    assert error[0, -1] >= 1e-3 * falling.max()
+    assert np.all(np.diff(error) >= 0.0)
 
 
 def test_a_wrong_delay_and_a_wrong_edge_are_seen():
