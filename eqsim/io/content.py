@@ -12,6 +12,7 @@ from eqsim.errors import InputError, shown
 from eqsim.io import schema
 
 _LONGEST = 10_000_000  # characters of a run file
+_LONGEST_NAME = 255  # characters of the name of a file or folder
 # Keys that follow from another one, if that is given.
 DERIVED = {
     "thermal.kT": "thermal.temperature",
@@ -152,7 +153,7 @@ def _axes_of_blocks(sweep: Any) -> Any:
 
 
 def path_of(field: str, folder: Path, name: str) -> Path:
-    """The path of a file that a key names. Raises InputError for an empty name."""
-    if not name.strip():
+    """The path of a file that a key names. Raises InputError for what is no name."""
+    if not name.strip() or max(map(len, Path(name).parts), default=0) > _LONGEST_NAME:
         raise InputError(f"{field} = {shown(name)}: must be the name of a file")
     return folder / name
