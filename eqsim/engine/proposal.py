@@ -30,6 +30,10 @@ FEWEST_LIVES = 2**11  # of a randomisation at the first attempt
 LOG_RANKS = -53 * math.log(2), math.log(500)
 _LOG_CLOCKS = -12, math.log(40)
 _NEGLIGIBLE_DENSITY = 1e-12
+# clocks beyond all that are drawn, and the share of a mean that each may contribute in an
+# e-fold of clocks
+_LATE_CLOCKS = np.array([41.0, 45.0, 50.0, 60.0, 80.0, 120.0, 200.0, 400.0, 700.0])
+_NEGLIGIBLE_CLOCKS = 1e-10
 # expected lives among all that are drawn, below which a sample may have met none
 _EXPECTED_UNMET = 4.0
 # share of unmet lives in the mean square from which on lives are drawn for it, too;
@@ -213,8 +217,7 @@ class Proposal(NamedTuple):
             means = [(size**2 / over) @ square for square, size in pairs]
             parts = [clock_births * np.sqrt(mean) for mean in means]
             clock_density = mixed(log_clock, np.sqrt(clock_births), *parts)
-            for part in parts:
-                covered &= bool(part[-1] <= _NEGLIGIBLE_DENSITY * part.max())
+            covered &= not _late_clocks_matter(c, log_e, found, log_clock)
         # below the grid nothing happens but short lives
         low = np.linspace(-53 * math.log(2), log_clock[0], 100)[:-1]
         rise = math.log(clock_density[1] / clock_density[0])
@@ -222,6 +225,27 @@ class Proposal(NamedTuple):
         below = clock_density[0] * np.exp(falls * (low - log_clock[0]))
         clock = Density.of(np.append(low, log_clock), np.append(below, clock_density))
         return cls(Density.of(log_e, density), clock, covered, source)
+
+
+def _late_clocks_matter(
+    c: Contacts, log_e: Array, found: Sample, log_clock: Array
+) -> bool:
+    """True if lives with clocks beyond all that are drawn contribute to the means of
+    travel and work, beside the lives `found` on a grid of thresholds and clocks."""
+    births, clocks = births_per_log(log_e), births_per_log(np.log(_LATE_CLOCKS))
+    ranks, late = np.exp(-np.exp(log_e)), np.exp(-_LATE_CLOCKS)
+    u, v = np.meshgrid(ranks, late, indexing="ij")
+    missed = lives_on_grid(c, u.ravel(), v.ravel())
+    for of_all, of_late in (
+        (found.travel, missed.travel),
+        (np.abs(found.work), np.abs(missed.work)),
+    ):
+        drawn = births @ of_all.reshape(log_e.size, -1) @ births_per_log(log_clock)
+        mean = drawn * (log_clock[1] - log_clock[0])
+        beyond = births @ of_late.reshape(u.shape) * clocks
+        if np.any(beyond > _NEGLIGIBLE_CLOCKS * mean):
+            return True
+    return False
 
 
 # Points of a sweep that differ by their delay share it: it takes 20 ms.

@@ -427,6 +427,7 @@ def test_low_velocity_limits():
             rel_error=1e-5,
         )
         assert abs(z_score(quenched.friction, v * (0.8 / 0.6) ** 2)) < 4.5
+        assert quenched.friction.reliable
 
 
 def test_discrete_laws():
