@@ -162,6 +162,7 @@ def largest_score(ensemble, segments, stage, replicas):
 
 
 @pytest.mark.verification
+@pytest.mark.usefixtures("not_by_events")
 @pytest.mark.parametrize("count", [1, 2, 10, 100])
 @pytest.mark.parametrize("name", SETTINGS)
 def test_errors_hold_what_finite_steps_miss(name, count):
