@@ -242,7 +242,6 @@ def answer(process, number):
 WORK = {
     "transient": "eqsim.transient(warm, drive)",
     "curve": "eqsim.transient(warm, eqsim.Programme([eqsim.Segment(0.1 + i % 2, time=1.0) for i in range(4000)]))",
-    "stability": "eqsim.stability(warm, drive, critical=True)",
     "trajectory": "eqsim.trajectory(eqsim.Ensemble(count=300_000_000), eqsim.Drive(0.1, 5.0))",
     "steady": "eqsim.steady(eqsim.Ensemble(), eqsim.Drive(0.1), rel_error=1e-9, max_lives=1e15, threads=2)",
 }
