@@ -25,6 +25,7 @@ from waiting import once
 from eqsim import Drive, Table, load, steady
 from eqsim.cli.app import app
 from eqsim.cli.options import typed
+from eqsim.errors import shown
 from eqsim.estimate import OBSERVABLES, Estimate
 from eqsim.io import terminal
 from eqsim.io.terminal import Report, bar
@@ -875,7 +876,7 @@ def test_no_path_is_empty(tmp_path, monkeypatch, words, text):
     assert [path.name for path in tmp_path.iterdir()] == ["a.toml"]
 
 
-@pytest.mark.parametrize("text", ["", " "])
+@pytest.mark.parametrize("text", ["", " ", "x" * 256], ids=["", " ", "long"])
 @pytest.mark.parametrize(
     ("section", "command", "key"),
     [
@@ -888,9 +889,9 @@ def test_no_path_is_empty(tmp_path, monkeypatch, words, text):
          "fit.record.file"),
     ],
 )  # fmt: skip
-def test_no_name_of_a_file_is_empty(tmp_path, section, command, key, text):
+def test_what_is_no_name_of_a_file(tmp_path, section, command, key, text):
     (tmp_path / "a.toml").write_text(section.format(text))
     more = [] if command == "info" else ["--out", str(tmp_path / "x")]
     done = CliRunner().invoke(app, [command, str(tmp_path / "a.toml"), *more])
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1), done.output
-    assert f"{key} = {text!r}: must be the name of a file" in done.stderr
+    assert f"{key} = {shown(text)}: must be the name of a file" in done.stderr
