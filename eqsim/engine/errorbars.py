@@ -64,8 +64,7 @@ def rare_clocks(c: Contacts, proposal: Proposal | None, count: int) -> float:
     p = np.append(rare, 1.0 - rare)
     clock, weight = proposal.clock.draw(p) if proposal else (p, np.ones(p.size))
     weight = weight.reshape(2, rare.size)
-    u, v = np.meshgrid(shares, clock, indexing="ij")
-    found, errors = lives_on_grid(c, u.ravel(), v.ravel()), []
+    found, errors = lives_on_grid(c, shares, clock), []
     for reward in (found.work, found.travel):
         reward = reward.reshape(shares.size, *weight.shape)
         # grows with rarity

@@ -53,14 +53,15 @@ def births_vary(c: Contacts) -> bool:
 
 
 def lives_on_grid(c: Contacts, u: Array, v: Array) -> Sample:
-    """Lives from uniforms of thresholds and clocks, in the mean over births: root mean
-    squares, with the sign lost."""
-    source = Source(key(0, STEADY), 0, STEP)
+    """Lives from each pair of uniforms of thresholds and of clocks, shape (thresholds,
+    clocks), in the mean over births: root mean squares, with the sign lost."""
+    source, shape = Source(key(0, STEADY), 0, STEP), (u.size, v.size)
+    u, v = np.repeat(u, v.size), np.tile(v, u.size)
     if not births_vary(c):
-        return lives(c, source, u, v)
+        return Sample(*np.reshape(lives(c, source, u, v), (-1, *shape)))
     births = [np.full(u.size, (i + 0.5) / 16) for i in range(16)]
     squares = [np.square(lives(c, source, u, v, birth)) for birth in births]
-    return Sample(*np.sqrt(np.mean(squares, axis=0)))
+    return Sample(*np.sqrt(np.mean(squares, axis=0)).reshape(-1, *shape))
 
 
 class Density(NamedTuple):
@@ -173,14 +174,12 @@ class Proposal(NamedTuple):
         log_clock = np.linspace(*_LOG_CLOCKS, fine[1])
         births, clock_births = births_per_log(log_e), births_per_log(log_clock)
         ranks, clocks = np.exp(-np.exp(log_e)), np.exp(-np.exp(log_clock))
-        u, v = np.meshgrid(ranks, clocks, indexing="ij")
-        found = lives_on_grid(c, u.ravel(), v.ravel())
+        found = lives_on_grid(c, ranks, clocks)
         stretched = isinstance(c.newborn, Stretched)
         squares, sizes, roots = [], [], []
 
         def add(reward: Array) -> None:
             """Add a contribution of lives, at least 0."""
-            reward = reward.reshape(u.shape)
             # squares of extreme thresholds overflow
             size = np.maximum(reward.max(axis=1), 1e-300)
             square = reward / size[:, None]
@@ -202,7 +201,7 @@ class Proposal(NamedTuple):
             # found than `Sample.square`
             other = found.work * found.work / found.travel
             square = found.square if stretched else other
-            made = births * (square.reshape(u.shape) @ clock_births)
+            made = births * (square @ clock_births)
         source = Squares(log_e, made, density)
         # forces of contacts born stretched may nearly cancel in the work
         fewest = RANDOMISATIONS * FEWEST_LIVES
@@ -233,17 +232,12 @@ def _late_clocks_matter(
     """True if lives with clocks beyond all that are drawn contribute to the means of
     travel and work, beside the lives `found` on a grid of thresholds and clocks."""
     births, clocks = births_per_log(log_e), births_per_log(np.log(_LATE_CLOCKS))
-    ranks, late = np.exp(-np.exp(log_e)), np.exp(-_LATE_CLOCKS)
-    u, v = np.meshgrid(ranks, late, indexing="ij")
-    missed = lives_on_grid(c, u.ravel(), v.ravel())
-    for of_all, of_late in (
-        (found.travel, missed.travel),
-        (np.abs(found.work), np.abs(missed.work)),
-    ):
-        drawn = births @ of_all.reshape(log_e.size, -1) @ births_per_log(log_clock)
-        mean = drawn * (log_clock[1] - log_clock[0])
-        beyond = births @ of_late.reshape(u.shape) * clocks
-        if np.any(beyond > _NEGLIGIBLE_CLOCKS * mean):
+    drawn = births_per_log(log_clock) * (log_clock[1] - log_clock[0])
+    late = lives_on_grid(c, np.exp(-np.exp(log_e)), np.exp(-_LATE_CLOCKS))
+    for of_drawn, of_late in ((found.travel, late.travel), (found.work, late.work)):
+        mean = births @ np.abs(of_drawn) @ drawn
+        beyond = births @ np.abs(of_late) * clocks
+        if not np.all(beyond <= _NEGLIGIBLE_CLOCKS * mean):  # also of what overflows
             return True
     return False
 
