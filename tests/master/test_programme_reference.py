@@ -184,7 +184,7 @@ def test_lives_far_shorter_than_steps(thresholds, kT, barrier, log_omega):
     assert found.force_error.max() < 0.1 * known.force.max()
 
 
-@pytest.mark.parametrize("kT", [0.005, 0.3])
+@pytest.mark.parametrize("kT", [0.005, 0.02, 0.3])
 @pytest.mark.parametrize("name", APART)
 def test_heat_breaks_contacts_far_from_any_threshold(name, kT):
     """Annealed contacts that are pulled at once, by less than any threshold, and held
