@@ -12,11 +12,10 @@ from typer import Argument, Option
 from eqsim.catalogue import FORCE, LENGTH, dimension
 from eqsim.cli.options import Shown
 from eqsim.errors import InputError
-from eqsim.io import storage
 from eqsim.lazy import lazily
 
 with lazily():
-    from eqsim.io import csv, runfile, units
+    from eqsim.io import csv, runfile, storage, units
 
 _FILE = "The run file to be written; none is overwritten."
 _STRENGTHS = "CSV file of measured thresholds: stretches, or forces in a unit of force."

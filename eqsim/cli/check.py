@@ -11,12 +11,12 @@ from typer import Argument, Exit, Option
 
 from eqsim.cli.options import Shown, Threads, cores
 from eqsim.errors import InputError, require_integer
-from eqsim.io import storage
 from eqsim.lazy import lazily
 
 with lazily():
     from eqsim import validation as comparing
     from eqsim.io import export as tables
+    from eqsim.io import storage
     from eqsim.workflows import replay as repeating
     from eqsim.workflows import validation
 

@@ -18,14 +18,13 @@ from eqsim.errors import (
     require_number,
     require_package,
 )
-from eqsim.io import storage
 from eqsim.lazy import lazily
 
 with lazily():
     from eqsim.fitting import design as designing
     from eqsim.fitting import fit as fitting
     from eqsim.fitting import posterior, rate_and_state, report, section
-    from eqsim.io import runfile
+    from eqsim.io import runfile, storage
 
 _FIT_FOLDER = "Folder for fit.json, tables, pictures and the best fit's run file."
 _ALLOW = "Fit also what the data cannot separate, with a warning."

@@ -17,11 +17,11 @@ from rich.markup import escape
 from typer import Argument, BadParameter, Option
 
 from eqsim.errors import InputError, require_choice, require_integer
-from eqsim.io import storage, terminal
+from eqsim.io import terminal
 from eqsim.lazy import lazily
 
 with lazily():
-    from eqsim.io import runfile, surface
+    from eqsim.io import runfile, storage, surface
     from eqsim.model import groups
     from eqsim.workflows import report as results
 

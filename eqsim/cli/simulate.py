@@ -9,10 +9,11 @@ from typer import Option
 from eqsim.cli import options as shared
 from eqsim.cli.options import Changes, RunFilePath, Shown, Threads, cores
 from eqsim.errors import InputError, require_integer, require_number
-from eqsim.io import storage, terminal
+from eqsim.io import terminal
 from eqsim.lazy import lazily
 
 with lazily():
+    from eqsim.io import storage
     from eqsim.sweeps import workers as pools
     from eqsim.workflows import averages, curve
     from eqsim.workflows import fluctuations as fluctuating

@@ -11,11 +11,11 @@ from eqsim.catalogue import LENGTH
 from eqsim.cli import options as shared
 from eqsim.cli.options import Changes, RunFilePath, Shown, complain, cores
 from eqsim.errors import InputError, require_integer
-from eqsim.io import signals, storage
+from eqsim.io import signals
 from eqsim.lazy import lazily
 
 with lazily():
-    from eqsim.io import export, units
+    from eqsim.io import export, storage, units
     from eqsim.plots import style, sweeps
     from eqsim.sweeps import plan, rows, scheduler, store
     from eqsim.sweeps import workers as pools

@@ -128,7 +128,7 @@ class Blocks(NamedTuple):
     tree: Array  # lowest thresholds, a binary tree from node 1 on
 
 
-@kernel
+@kernel(makes_arrays=True)
 def pin_all(laws: Contacts, key: Key, first: int, unit: float, b: Blocks) -> None:
     """Pin all contacts, of which the first is number `first`, with all blocks at 0."""
     blocks, n = b.position.shape

@@ -46,6 +46,8 @@ _MOST_PULLED = 20_000_000  # contacts with a stage: all are kept at once, 56 byt
 # two forces: Student's law of 7 is 1.09 times as wide as the normal one in 68 %.
 LEAST_PARTS, _MOST_PARTS = 8, 64
 _MOST_PARTED = 2_000_000  # forces of all parts
+# segments of all parts: each takes as long as those of a few thousand contacts
+_MOST_PARTED_SEGMENTS = 2000
 _MOST_LEVELS = 5  # velocities whose steady states say how forces scatter
 
 
@@ -268,7 +270,8 @@ def along(
     """Simulate `trajectory.trajectory` of a programme."""
     grid, unit = programme.grid(output.points), ensemble.thresholds.scale
     count, delayed = ensemble.count * output.replicas, ensemble.delay.time > 0
-    parts = _parts_of(count, grid.t.size) if output.replicas == 1 else 1
+    segments = len(programme.segments)
+    parts = _parts_of(count, grid.t.size, segments) if output.replicas == 1 else 1
     part, ensembles = replace(ensemble, count=count // parts), output.replicas * parts
     if parts == 1:
         part = ensemble
@@ -305,10 +308,11 @@ def along(
     )
 
 
-def _parts_of(count: int, points: int) -> int:
+def _parts_of(count: int, points: int, segments: int) -> int:
     """Number of equal parts into which contacts are divided; 1 if there is none that
     tells a scatter, or their forces were too many."""
-    fit = range(LEAST_PARTS, min(_MOST_PARTS, _MOST_PARTED // points) + 1)
+    quick = max(LEAST_PARTS, _MOST_PARTED_SEGMENTS // segments)
+    fit = range(LEAST_PARTS, min(_MOST_PARTS, _MOST_PARTED // points, quick) + 1)
     return max((parts for parts in fit if count % parts == 0), default=1)
 
 

@@ -13,8 +13,11 @@ from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
 from rich.table import Table
 from rich.text import Text
 
-from eqsim.io.storage import to_json
+from eqsim.lazy import lazily
 from eqsim.numerics.kernel_folder import compiling_since
+
+with lazily():
+    from eqsim.io import storage
 
 LONG_ATTEMPT = 20.0  # seconds from which on the time left is announced
 _COMPILING = 1.0  # seconds after which the bar says that kernels are compiled
@@ -37,7 +40,7 @@ class Report:
     def show(self, json: bool = False, quiet: bool = False) -> None:
         """Print the result as JSON, as table and lines, or not at all."""
         if json:
-            print(to_json(self.data))
+            print(storage.to_json(self.data))
         elif not quiet:
             if self.columns:
                 self._table()

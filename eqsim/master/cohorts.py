@@ -549,7 +549,7 @@ def observe(cohorts: Cohorts, count: int, X: float, history: History, m: int) ->
     return stiffness
 
 
-@kernel
+@kernel(makes_arrays=True)
 def march(contacts: Any, path: CohortPath) -> History:
     """Follow contacts along a path."""
     means = np.zeros((4, path.t.size))

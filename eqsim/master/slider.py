@@ -258,7 +258,7 @@ def driven(
     return jump + dX, V
 
 
-@kernel
+@kernel(makes_arrays=True)
 def pull(
     kinds: Kinds, path: CohortPath, spring: Spring, way: Way, tolerance: float
 ) -> Slide:

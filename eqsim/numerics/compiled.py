@@ -6,8 +6,9 @@ keeps the machine code on disk. `routine` compiles a function into the kernels t
 call it. `by_law` makes a routine that has another body for each type of law.
 
 Division follows NumPy (x/0 is infinite): Python's exception would be a branch in every
-division, and no loop with one vectorises. Inlined routines do not count references to
-arrays, which would take longer than their work; so they must not make arrays.
+division, and no loop with one vectorises. Kernels and inlined routines do not count
+references to arrays, which would take longer than their work; so they must not make
+arrays unless they say so.
 """
 
 import functools
@@ -38,9 +39,10 @@ class Kernel:
     at the same time take from each other. So each combination has a dispatcher and a
     folder of its own here, which a process locks while it compiles or loads."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], makes_arrays: bool) -> None:
         functools.update_wrapper(self, function)
         self._function = function
+        self._options = {**_PLAIN, "nogil": True, "_nrt": makes_arrays}
         self._by_kind: dict[Hashable, Callable[..., Any]] = {}
         self.signatures: dict[tuple[Any, ...], Callable[..., Any]] = {}
 
@@ -57,12 +59,13 @@ class Kernel:
         """The machine code for such arguments; several kinds may have the same types."""
         signature = tuple(map(numba.typeof, arguments))
         digest = hashlib.sha256(f"{numba.__version__} {signature}".encode()).hexdigest()
-        function = self._function
+        function, options = self._function, self._options
         name = f"{function.__module__}.{function.__qualname__}-{digest[:16]}"
         if signature not in self.signatures:
             with locked_folder(name) as folder:
                 if signature not in self.signatures:  # no other thread has made it
-                    self.signatures[signature] = _compiled(function, signature, folder)
+                    compiled = _compiled(function, signature, options, folder)
+                    self.signatures[signature] = compiled
         return self._by_kind.setdefault(_kind(arguments), self.signatures[signature])
 
 
@@ -80,9 +83,10 @@ def _kind(value: Any) -> Any:
     return type(value)
 
 
-def _compiled(function: Any, signature: tuple[Any, ...], folder: Path | None) -> Any:
+def _compiled(
+    function: Any, signature: tuple[Any, ...], options: Any, folder: Path | None
+) -> Any:
     """A dispatcher for one signature, from a folder or saved there if there is one."""
-    options = {**_PLAIN, "nogil": True}
     collects = gc.get_threshold()
     gc.set_threshold(_RARELY, *collects[1:])
     try:
@@ -100,12 +104,20 @@ def _compiled(function: Any, signature: tuple[Any, ...], folder: Path | None) ->
         gc.set_threshold(*collects)
 
 
-def kernel(function: Callable[..., Any]) -> Kernel:
+@typing.overload
+def kernel(function: Callable[..., Any]) -> Kernel: ...
+@typing.overload
+def kernel(*, makes_arrays: bool) -> Callable[[Callable[..., Any]], Kernel]: ...
+def kernel(
+    function: Callable[..., Any] | None = None, *, makes_arrays: bool = False
+) -> Any:
     """Compile a function that Python calls. Kernels cannot call it: they call routines.
     Arguments are arrays, numbers, None, and tuples and NamedTuples of these; a whole
     number is of 64 bits. The machine code is kept on disk if a folder can be
     written."""
-    return Kernel(function)
+    if function is None:
+        return functools.partial(kernel, makes_arrays=makes_arrays)
+    return Kernel(function, makes_arrays)
 
 
 @typing.overload

@@ -335,6 +335,16 @@ def test_change_in_which_hardly_a_contact_breaks(stage):
         assert abs(z_score(relaxation, before - after)) < 5.0
 
 
+@pytest.mark.parametrize(("segments", "parts"), [(10, 50), (100, 20), (1000, 8)])
+def test_many_segments_are_followed_in_few_parts(segments, parts):
+    """Errors of changes are known from as many equal parts of 400 contacts as take
+    little time; each takes some for every segment. At least eight tell them."""
+    paces = [0.1 if i % 2 else 0.2 for i in range(segments)]
+    programme = Programme([Segment(pace, distance=0.01) for pace in paces])
+    run = trajectory(Ensemble(count=400, **UNIFORM), programme, points=2 * segments + 1)
+    assert run.segments[1].step.a_minus_b.dof == parts - 1
+
+
 def test_nothing_changes_in_cold_holds():
     programme = Programme([Segment(0.1, distance=3.0), Segment(time=1.0)])
     run = trajectory(Ensemble(count=6400), programme, points=21)
