@@ -543,14 +543,19 @@ class Distribution(Smooth):
         # a histogram has no other parameters
         return (1.0, self._name, *flat, self.breakpoints, self.cdf(self.breakpoints))
 
+    # SciPy divides by 0 and overflows far out in the tails of some laws.
+
+    @np.errstate(all="ignore")
     def pdf(self, x: Any) -> Array:
         """P_c(x)."""
         return np.asarray(self.frozen.pdf(x))
 
+    @np.errstate(all="ignore")
     def cdf(self, x: Any) -> Array:
         """P(xi <= x)."""
         return np.asarray(self.frozen.cdf(x))
 
+    @np.errstate(all="ignore")
     def sf(self, x: Any) -> Array:
         return np.asarray(self.frozen.sf(x))
 
@@ -568,16 +573,16 @@ class Distribution(Smooth):
         new = np.abs(inside[:, None] - known).min(axis=1) > _SAME * self.scale
         return np.union1d(super().kinks, inside[new])
 
+    @np.errstate(all="ignore")
     def inverse_survival(self, e: Any) -> Array:
         """The quantile function of `ThresholdLaw`. Raises InputError where SciPy's isf
         fails far out in the tail: where it is not finite, or beyond all that the
         density and the survival function know."""
         e = np.asarray(e, float)
         law = self.frozen
-        with np.errstate(all="ignore"):
-            xi = np.where(e < 0.7, law.ppf(-np.expm1(-e)), law.isf(np.exp(-e)))
-            nothing = law.pdf(xi) + law.sf(xi) == 0.0
-            lost = ~np.isfinite(xi) | ((xi < self.support[1]) & nothing)
+        xi = np.where(e < 0.7, law.ppf(-np.expm1(-e)), law.isf(np.exp(-e)))
+        nothing = law.pdf(xi) + law.sf(xi) == 0.0
+        lost = ~np.isfinite(xi) | ((xi < self.support[1]) & nothing)
         if np.any(lost):
             share = math.exp(-np.min(e[lost]))
             raise InputError(

@@ -3,6 +3,7 @@ draws, and bad input."""
 
 import functools
 import math
+import warnings
 from contextlib import suppress
 
 import mpmath
@@ -23,6 +24,7 @@ from eqsim import (
     Thermal,
     reference,
     steady,
+    transient,
 )
 from eqsim.laws import threshold
 from eqsim.laws.threshold import FIRST_OCTAVE, LAST_OCTAVE, for_kernels
@@ -401,10 +403,12 @@ def test_no_friction_is_infinite():
 def test_laws_whose_tail_scipy_knows(frozen):
     """Control: of heavy tails whose survival function is 0 from 1e-16 on the density is
     not, and of a law with an end both may be 0 there. Friction at T = 0 is <xi^2>/(2
-    <xi>)."""
-    found = reference(
-        Ensemble(Distribution(frozen), stiffness_law="uniform"), Drive(0.1)
-    ).friction
+    <xi>). Nothing is said of what SciPy divides by in the tail."""
+    contacts = Ensemble(Distribution(frozen), stiffness_law="uniform")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = reference(contacts, Drive(0.1)).friction
+        transient(contacts, Drive(0.1, 1.0), points=3)
     assert (
         abs(found.value - frozen.moment(2) / (2 * frozen.mean())) < 1e-9 + found.stderr
     )
