@@ -113,8 +113,8 @@ def kernel(
 ) -> Any:
     """Compile a function that Python calls. Kernels cannot call it: they call routines.
     Arguments are arrays, numbers, None, and tuples and NamedTuples of these; a whole
-    number is of 64 bits. The machine code is kept on disk if a folder can be
-    written."""
+    number is of 64 bits. A kernel that `makes_arrays` says so. The machine code is kept
+    on disk if a folder can be written."""
     if function is None:
         return functools.partial(kernel, makes_arrays=makes_arrays)
     return Kernel(function, makes_arrays)

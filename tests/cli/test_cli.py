@@ -15,12 +15,11 @@ import time
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pyarrow.parquet as pq
 import pytest
 from command_line import call
 from typer.testing import CliRunner
-from waiting import once
+from waiting import has_worked, once
 
 from eqsim import Drive, Table, load, steady
 from eqsim.cli.app import app
@@ -580,7 +579,7 @@ def test_interrupt_leaves_nothing(run_file, tmp_path, number):
         [*EQSIM, "run", str(run_file), "--out", str(out), "--threads", "1", "--set", "contacts.count=300000000"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    once(lambda: simulating(process.pid), process)
+    once(lambda: has_worked(process, 0.5), process)
     process.send_signal(number)
     output, error = process.communicate(timeout=60)
     assert process.returncode == 128 + number
@@ -589,18 +588,10 @@ def test_interrupt_leaves_nothing(run_file, tmp_path, number):
     assert not out.exists()
 
 
-def simulating(pid):
-    """Whether one of its threads but the first has worked for half a second: the
-    minutes of simulation have begun."""
-    return any(
-        thread.id != pid and thread.user_time > 0.5
-        for thread in psutil.Process(pid).threads()
-    )
-
-
 def test_help_needs_no_numba():
     """--help answers without the heavy imports."""
-    code = "import sys, eqsim.cli.app; print(sorted({'numba', 'scipy', 'pandas', 'matplotlib'} & set(sys.modules)))"
+    heavy = {"matplotlib", "numba", "numpy", "pandas", "scipy"}
+    code = f"import sys, eqsim.cli.app; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "[]", done.stderr
     for args in (

@@ -10,9 +10,8 @@ import time
 from concurrent.futures import CancelledError
 
 import numpy as np
-import psutil
 import pytest
-from waiting import ALLOWED, once
+from waiting import ALLOWED, has_worked, once
 
 from eqsim import Delay, Ensemble, Programme, Segment, Stage, Thermal
 from eqsim.engine import avalanches
@@ -221,19 +220,11 @@ def start(*command, **options):
     )  # fmt: skip
 
 
-def at_work(process, in_kernel=True):
-    """Whether one of its threads but the first has worked for a moment: in a kernel;
-    or else the first for longer than it takes to import eqsim."""
-    return any(
-        one.user_time > (0.2 if in_kernel else 3.0)
-        and (one.id != process.pid) == in_kernel
-        for one in psutil.Process(process.pid).threads()
-    )
-
-
 def answer(process, number, in_kernel=True):
     """Exit code, output and errors of a process that gets a signal."""
-    once(lambda: at_work(process, in_kernel), process)
+    # without a kernel, for longer than it takes to import eqsim
+    seconds = 0.2 if in_kernel else 3.0
+    once(lambda: has_worked(process, seconds, in_kernel), process)
     process.send_signal(number)
     try:
         output, errors = process.communicate(timeout=ALLOWED)
