@@ -11,6 +11,7 @@ import shutil
 import tempfile
 import time
 from contextlib import suppress
+from glob import glob
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -34,9 +35,12 @@ SWEEP_HIDDEN = "_parts"  # the same, renamed just before the table gets its name
 
 
 def sweep_parts(folder: Path) -> list[Path]:
-    """The files that hold the rows of an unfinished sweep."""
-    folders = (folder / name for name in (SWEEP_PARTS, SWEEP_HIDDEN))
-    return sorted(path for one in folders for path in one.glob("*.parquet"))
+    """The files that hold the rows of an unfinished sweep, which may be ending: then it
+    renames their folder."""
+    folders = [folder / name for name in (SWEEP_PARTS, SWEEP_HIDDEN)]
+    # unlike Path.glob, glob passes over a folder that is gone
+    listed = [one / name for one in folders for name in glob("*.parquet", root_dir=one)]
+    return sorted(path for path in listed if path.exists())
 
 
 def sweep_files(folder: Path) -> list[Path] | None:
@@ -44,7 +48,8 @@ def sweep_files(folder: Path) -> list[Path] | None:
     row is there yet. None for a folder that holds no sweep."""
     if not (folder / SWEEP_MANIFEST).exists():
         return None
-    return [*folder.glob(SWEEP_TABLE)] or sweep_parts(folder)
+    parts = sweep_parts(folder)  # first: they are removed once the table is there
+    return [*folder.glob(SWEEP_TABLE)] or parts
 
 
 def planned_points(folder: Path) -> int | None:
@@ -204,8 +209,9 @@ def unfinished(out: Path, *parts: str | bytes) -> Path:
     all that its numbers depend on and of the release of eqsim. Folders to which nothing
     was added for long are removed."""
     for old in out.glob(".unfinished-*"):
-        if time.time() - old.stat().st_mtime > _FORGOTTEN_SECONDS:
-            shutil.rmtree(old, ignore_errors=True)
+        with suppress(FileNotFoundError):  # another command has just removed it
+            if time.time() - old.stat().st_mtime > _FORGOTTEN_SECONDS:
+                shutil.rmtree(old, ignore_errors=True)
     digest = hashlib.sha256()
     for part in (versions()["eqsim"], str(results.RESULTS_VERSION), *parts):
         content = part.encode() if isinstance(part, str) else part

@@ -1,5 +1,6 @@
 """Tables as CSV: what they hold, what their comments say, and where they are written."""
 
+import glob
 import json
 import shutil
 import subprocess
@@ -16,7 +17,7 @@ from eqsim import Units, load, sweep
 from eqsim.catalogue import KEYS
 from eqsim.fitting.record import read_record
 from eqsim.fitting.section import section_of
-from eqsim.io import csv
+from eqsim.io import csv, storage
 from eqsim.io.export import meaning
 from eqsim.io.runfile import check
 from eqsim.io.tables import read_drive
@@ -171,6 +172,30 @@ def test_an_unfinished_sweep(made, tmp_path, parts):
     refused = call("replay", files[0])
     assert refused.exit_code == 2
     assert "holds 1 of the 2 points of a sweep that was not finished" in refused.stderr
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_a_sweep_that_ends_while_it_is_listed(tmp_path, monkeypatch, hidden):
+    """It renames the folder of its parts once that is listed; or, where it has been
+    renamed, writes the table and removes a part. Every row is found, once."""
+    parts, renamed = tmp_path / "parts", tmp_path / "_parts"
+    folder = renamed if hidden else parts
+    folder.mkdir()
+    for path in (tmp_path / "_sweep.json", folder / "part-0.parquet"):
+        path.touch()
+
+    def listed(pattern, root_dir):
+        names = glob.glob(pattern, root_dir=root_dir)
+        if names and hidden:
+            (tmp_path / "sweep.parquet").touch()
+            (renamed / "part-0.parquet").unlink()
+        elif names and parts.exists():
+            parts.replace(renamed)
+        return names
+
+    monkeypatch.setattr(storage, "glob", listed)
+    found = tmp_path / "sweep.parquet" if hidden else renamed / "part-0.parquet"
+    assert storage.sweep_files(tmp_path) == [found]
 
 
 def test_a_sweep_that_was_stopped(made, tmp_path):

@@ -4,6 +4,7 @@ bit."""
 import concurrent.futures as futures
 import contextlib
 import dataclasses
+import glob
 import hashlib
 import json
 import math
@@ -929,11 +930,12 @@ def start(path, out, *options):
 def on_disk(out):
     """id -> seconds of every row a reader can find."""
     rows = []
-    for path in [*out.glob("*parts/part-*.parquet"), *out.glob("sweep.parquet")]:
-        with contextlib.suppress(
-            FileNotFoundError
-        ):  # a sweep at work has just moved these rows
-            rows += pq.read_table(path).to_pylist()
+    names = ("*parts/part-*.parquet", "sweep.parquet")
+    for path in [path for name in names for path in glob.glob(name, root_dir=out)]:
+        # a sweep at work may just have moved these rows; it may move the folder, too,
+        # which glob passes over and Path.glob does not
+        with contextlib.suppress(FileNotFoundError):
+            rows += pq.read_table(out / path).to_pylist()
     return {row["id"]: row["seconds"] for row in rows}
 
 
