@@ -31,8 +31,8 @@ class Plan:
     """All points of a run file's [sweep] table, in the order of the grid, the last axis
     fastest. Their identities, of which seeds are made, are digests of parameters and
     `RESULTS_VERSION`, or `ids` from an earlier plan, whose points are not checked again.
-    `runs` are what the points that were checked compute. Raises InputError for a table,
-    or a point of it, that cannot be used."""
+    `runs` are what the points compute. Raises InputError for a table, or a point of it,
+    that cannot be used."""
 
     def __init__(self, file: RunFile, ids: list[str] | None = None) -> None:
         self.file, self.axes = file, _axes(file)
@@ -44,6 +44,8 @@ class Plan:
         self.runs = set[Run]()
         known = ids if ids and len(ids) == self.size else None
         self.ids = known or [self._checked(index) for index in range(self.size)]
+        if known:
+            self.runs = {run_of(self.at(index).drive) for index in range(self.size)}
         seen: dict[str, int] = {}
         for index, point_id in enumerate(self.ids):
             if (first := seen.setdefault(point_id, index)) != index:

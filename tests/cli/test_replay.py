@@ -16,6 +16,7 @@ from command_line import call
 
 from eqsim.errors import InputError
 from eqsim.workflows.replay import compare, replay
+from eqsim.workflows.sweep import sweep
 
 RUN = """
 disorder = "annealed"
@@ -151,6 +152,27 @@ def test_a_sweep_of_an_older_version(made, tmp_path, monkeypatch):
         assert ("its provenance is damaged (ValueError" in done.stderr) == (
             len(ids) == 2
         )
+
+
+MEASURED = """
+units = { length = "um", time = "s", force = "mN" }
+interface = { area = 1.0, normal_load = 100.0 }
+"""
+STAGE = "time = 20.0\nstage = { stiffness = 0.1 }\n"
+
+
+@pytest.mark.parametrize(
+    ("given", "more", "column"),
+    [(MEASURED, "", "friction_coefficient"), ("", STAGE, "slips")],
+    ids=["interface", "stage"],
+)
+def test_a_sweep_is_repeated_with_all_columns(given, more, column, tmp_path):
+    """Those of units and an interface, and those of a slider that is pulled."""
+    drive = f"{given}[contacts]\ncount = 20\n[drive]\nvelocity = 0.1\n{more}"
+    (tmp_path / "a.toml").write_text(f'{drive}[sweep]\n"drive.velocity" = [0.1]\n')
+    sweep(tmp_path / "a.toml", out=tmp_path / "o", progress=False)
+    assert column in pq.read_schema(tmp_path / "o" / "sweep.parquet").names
+    assert replay(tmp_path / "o" / "sweep.parquet").differences == {}
 
 
 def test_one_worker_is_this_process(made, monkeypatch):
