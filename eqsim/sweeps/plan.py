@@ -44,6 +44,7 @@ class Plan:
         self.runs = set[Run]()
         known = ids if ids and len(ids) == self.size else None
         self.ids = known or [self._checked(index) for index in range(self.size)]
+        self.checked = not known
         if known:
             self.runs = {run_of(self.at(index).drive) for index in range(self.size)}
         seen: dict[str, int] = {}
@@ -93,10 +94,16 @@ class Plan:
         return at(self.file, self.changes(index))
 
     def task(self, index: int) -> Task:
-        """The point for a worker."""
+        """The point for a worker. Raises InputError if a file that the point was made
+        of has changed since it was checked."""
         point, seed = self.at(index), seed_of(self.ids[index])
+        ensemble = point.ensemble
+        if self.checked and identity(point, ensemble) != self.ids[index]:
+            where = f"sweep, point {index + 1} of {self.size}"
+            said = "a file that the run file names has changed since the sweep began"
+            raise InputError(f"{where}: {said}; finished points are on disk")
         points, replicas = point.output.points, point.output.replicas
-        return Task(seed, point.ensemble, point.drive, points, replicas)
+        return Task(seed, ensemble, point.drive, points, replicas)
 
 
 def _axes(file: RunFile) -> list[list[dict[str, Any]]]:

@@ -560,6 +560,36 @@ def test_what_the_sweep_replaces_may_change(small):
     assert (small / "one" / "sweep.parquet").stat().st_mtime_ns == before
 
 
+def test_a_file_that_changes_meanwhile_ends_the_sweep(tmp_path, monkeypatch):
+    """No point has the identity of other thresholds; with the file as it was the sweep
+    goes on."""
+    (tmp_path / "a.csv").write_text("threshold\n1\n2\n")
+    (tmp_path / "a.toml").write_text(
+        BASE + '[thresholds]\nlaw = "table"\nfile = "a.csv"\n'
+        '[sweep]\n"contacts.count" = { linear = [100, 109, 10] }\n'
+    )
+    options = f"--out {tmp_path}/o --rel-error 0.2 --workers 1"
+    command = f"sweep {tmp_path}/a.toml {options}".split()
+    finish = Scheduler._finish
+
+    def finished(scheduler, index, row):
+        (tmp_path / "a.csv").write_text("threshold\n10\n20\n")
+        finish(scheduler, index, row)
+
+    monkeypatch.setattr(Scheduler, "_finish", finished)
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 2
+    assert "a file that the run file names has changed" in " ".join(done.stderr.split())
+    assert set(pd.read_parquet(tmp_path / "o")["status"]) == {"ok"}
+    monkeypatch.undo()
+    (tmp_path / "a.csv").write_text("threshold\n1\n2\n")
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    found = pd.read_parquet(tmp_path / "o")
+    assert len(found) == 10
+    assert found["friction_reference"].nunique() == 1
+
+
 def test_a_worker_with_other_code_is_refused():
     with pytest.raises(InputError, match="other code"):
         rows_module.compute([], Asked(), 1, RESULTS_VERSION + 1)
