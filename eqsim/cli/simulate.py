@@ -13,7 +13,7 @@ from eqsim.io import terminal
 from eqsim.lazy import lazily
 
 with lazily():
-    from eqsim.io import storage
+    from eqsim.io import states, storage
     from eqsim.sweeps import workers as pools
     from eqsim.workflows import averages, curve
     from eqsim.workflows import fluctuations as fluctuating
@@ -80,14 +80,15 @@ def run(
     folder = shared.results_folder(path, out)
     storage.check_folder(folder)
     count, workers, formats = cores(threads), split.chosen(), shared.pictured(format_)
-    with shown.bar("simulating", "lives") as progress:
-        how: dict[str, Any] = {"max_lives": work.max_lives, "progress": progress}
-        how |= {"exact": not work.no_exact, "threads": count, "workers": workers}
-        found = running.run(file, **how, keep=folder)
-    shown.doubt(file, file.drive)
-    for line in file.said:
-        shown.note(line)
-    shown.result(found, path.stem, folder, formats)
+    with states.kept(file, folder) as keep:  # until results are on disk
+        with shown.bar("simulating", "lives") as progress:
+            how: dict[str, Any] = {"max_lives": work.max_lives, "progress": progress}
+            how |= {"exact": not work.no_exact, "threads": count, "workers": workers}
+            found = running.run(file, **how, keep=keep)
+        shown.doubt(file, file.drive)
+        for line in file.said:
+            shown.note(line)
+        shown.result(found, path.stem, folder, formats)
 
 
 def steady(

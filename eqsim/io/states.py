@@ -52,10 +52,14 @@ class States:
 
 
 @contextmanager
-def kept(file: RunFile, out: Path | None) -> Iterator[States | None]:
-    """The states of the runs of a file, if there is a folder for its results; they are
-    removed when all is done."""
-    if out is None:
+def kept(file: RunFile, out: Path | States | None) -> Iterator[States | None]:
+    """The states of the runs of a file with coupled blocks, if there is a folder for its
+    results; they are removed at the end of the block. States stay with the caller that
+    has made them, and removes them once results are on disk."""
+    if isinstance(out, States):
+        yield out
+        return
+    if out is None or not file["elastic"]:
         yield None
         return
     contents = contents_of(file).values()

@@ -10,6 +10,7 @@ from eqsim.errors import InputError
 from eqsim.estimate import Estimate, score
 from eqsim.io import labels, storage, terminal
 from eqsim.io.runfile import RunFile
+from eqsim.io.states import States
 from eqsim.lazy import lazily
 from eqsim.master.programme import Transient, heat_is_idle
 from eqsim.master.transient import transient
@@ -25,12 +26,12 @@ Exact = TypeVar("Exact")
 
 
 class How(NamedTuple):
-    """How blocks are simulated; `keep`: the folder for states of a stopped run."""
+    """How blocks are simulated; `keep`: states of a stopped run, or a folder for them."""
 
     threads: int
     max_lives: float
     progress: Progress
-    keep: Path | None
+    keep: Path | States | None
 
 
 class Solved(NamedTuple, Generic[Exact]):

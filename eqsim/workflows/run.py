@@ -24,6 +24,7 @@ from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import Estimate, known
 from eqsim.io.runfile import RunFile, opened
+from eqsim.io.states import States
 from eqsim.io.units import Row
 from eqsim.lazy import lazily
 from eqsim.master.avalanche_sizes import load_of, size_law
@@ -498,7 +499,7 @@ def run(
     max_lives: float = 1e10,
     exact: bool = True,
     progress: Progress = lambda *_: None,
-    keep: Path | None = None,
+    keep: Path | States | None = None,
 ) -> RunResult | ProgrammeResult | ElasticResult:
     """Simulate a run file, and at constant velocity estimate the steady averages that
     belong to it.
@@ -520,10 +521,11 @@ def run(
         none.
     progress : callable, optional
         Called as `progress(done, expected)`, numbers of lives.
-    keep : Path, optional
+    keep : Path or States, optional
         Folder where a run of coupled blocks that is stopped leaves its states, every
         half a minute; the next run of the same file goes on from these within 30 days,
-        with the same bits, and removes them when it is finished.
+        with the same bits, and removes them when it is finished. States that are given
+        (`eqsim.io.states.kept`) stay.
 
     Returns
     -------

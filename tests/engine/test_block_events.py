@@ -522,6 +522,24 @@ def test_a_run_that_was_stopped_goes_on(tmp_path, monkeypatch, heat):
     assert not list(out.glob(".unfinished-*"))
 
 
+def test_states_stay_until_results_are_on_disk(tmp_path, monkeypatch):
+    """A picture that cannot be drawn costs no simulation."""
+    path, out = tmp_path / "run.toml", tmp_path / "out"
+    path.write_text(RUN_FILE)
+    monkeypatch.setattr("eqsim.io.states._EVERY", 0.0)
+
+    def fails(*_):
+        raise InputError("no picture")
+
+    with monkeypatch.context() as failing:
+        failing.setattr("eqsim.workflows.elastic.ElasticResult.files", fails)
+        assert call("run", path, "--out", out).exit_code == 2
+    assert list(out.glob(".unfinished-*/0.npz"))
+    assert call("run", path, "--out", out).exit_code == 0
+    assert (out / "trajectory.parquet").exists()
+    assert not list(out.glob(".unfinished-*"))
+
+
 def test_blocks_may_stand_in_the_interface(tmp_path):
     """The same numbers from [interface], from a load by its ends or from a file, and by
     --set; a key in both sections is refused."""
@@ -547,6 +565,7 @@ def test_blocks_may_stand_in_the_interface(tmp_path):
     assert changed.drive.elastic.coupling == 7.0
     fewer = found["alias"].with_changes({"elastic.blocks": 3})
     assert fewer.drive.elastic.load == (1.0, 1.75, 2.5)
+    (tmp_path / "comma.csv").write_text("1,5\n2,7\n1,1\n")
     for text, said in (
         (
             alias + "[elastic]\nblocks = 4\n",
@@ -554,6 +573,7 @@ def test_blocks_may_stand_in_the_interface(tmp_path):
         ),
         (alias.replace(cut, "load = { first = 1.0 }"), "elastic.load: a table has"),
         (alias.replace(cut, 'load = "no.csv"'), "elastic.load = no.csv"),
+        (alias.replace(cut, 'load = "comma.csv"'), "comma.csv: needs names of its"),
     ):
         (tmp_path / "bad.toml").write_text(text)
         done = call("run", tmp_path / "bad.toml")
