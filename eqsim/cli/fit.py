@@ -63,7 +63,7 @@ _AT = (
 )
 _COLUMNS = (
     "Of a CSV file: names of the columns of time, force and, unless --noise is given, "
-    "standard error. Default: the first ones."
+    "standard error. Default: the first three; with --noise only of a file of two."
 )
 _NOISE = "Of a CSV file: standard error of every point, in quadrature to the file's."
 _RSF_FOLDER = "Folder for rate-and-state.json, its table and its picture of residuals."
@@ -299,12 +299,14 @@ def design(
     limits = options.limits("velocity"), options.limits("temperature")
     found = designing.design(file, options.fitted, options.key, options.count, *limits)
     name = file.title or path.stem
+    at = ", ".join(f"{key} = {value}" for key, value in found.at.items())
+    said = f"at {at} of the run file; --set {next(iter(found.at), '')}=... for others"
     shown.report(
         {**found._asdict(), "steps": [step._asdict() for step in found.steps]},
         title=f"{name}: the next measurements of friction for {options.key}",
         columns=("", "velocity", "temperature", f"expected sd of {found.variable}"),
         rows=_steps(found),
-        notes=[_EXPECTED],
+        notes=[_EXPECTED, *[said] * bool(at)],
     )
 
 

@@ -22,6 +22,8 @@ MEASURED = (
     "peak_ratio",
     "peak_X",
 )
+# Those that have a scale of force.
+FORCES = ("friction", "force_std")
 _KNOWN_COLUMNS = (
     f"columns are keys such as drive.velocity and {', '.join(MEASURED)} (friction may "
     "be a force, a stress or a coefficient: fit.scale is its unit)"
@@ -60,8 +62,9 @@ class Measurements(NamedTuple):
 
     @property
     def sets(self) -> list[str]:
-        """Names of the sets, as they come."""
-        return list(dict.fromkeys(one.set for one in self.conditions))
+        """Names of the sets in which a force was measured, as they come."""
+        pairs = zip(self.conditions, self.observable, strict=True)
+        return list(dict.fromkeys(one.set for one, name in pairs if name in FORCES))
 
 
 def read_table(path: Path, file: RunFile, fit: Fit) -> Measurements:
@@ -95,6 +98,8 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Measurements:
                 f"{where}no observable has a value; leave the line out, or measure one"
             )
         name_of_set = cells.get("set", "").strip()
+        if measured and bool(name_of_set) != bool(measured[0][0].set):
+            raise InputError(f"{where}set: must have a name in all rows, or in none")
         here = MeasuredAt(changes, kelvin / unit, name_of_set, number, kelvin)
         for name in observables:
             stderr = cells.get(f"{name}_stderr")

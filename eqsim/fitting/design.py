@@ -53,14 +53,16 @@ class NextMeasurement(NamedTuple):
 
 class Design(NamedTuple):
     """The expected standard deviation of a key now, after repeating all measurements,
-    and after each of some new ones, the best first; and the name of its variable, such
-    as "ln thermal.kT"."""
+    and after each of some new ones, the best first; the name of its variable, such as
+    "ln thermal.kT"; and values of the run file at which new ones are made, of keys that
+    are columns of the data."""
 
     key: str
     variable: str
     now: float
     repeated: float
     steps: list[NextMeasurement]
+    at: dict[str, float]
 
 
 def expected(jacobian: Array, index: int) -> float:
@@ -80,8 +82,8 @@ def design(
     folder `fitted`, one after the other, each the best given those before.
 
     By default velocities go up to ten times beyond those of the data, and temperatures
-    are those of the data. Raises InputError if the folder holds no fit of these data,
-    or the key is not free.
+    are those of the data; other keys that are columns have the run file's values.
+    Raises InputError if the folder holds no fit of these data, or the key is not free.
     """
     require_integer("next", count, 1, 1000)
     prepared = prepare(file, None, True)
@@ -105,7 +107,9 @@ def design(
         kelvin = float(T[best]) if prepared.fit.temperature is not None else None
         steps.append(NextMeasurement(float(v[best]), kelvin, after[best]))
     name = problem.parameters[index].variable_name
-    return Design(key, name, now, repeated, steps)
+    others = [name for name in prepared.table.names if name != "drive.velocity"]
+    at = {other: file[other] for other in others}
+    return Design(key, name, now, repeated, steps, at)
 
 
 def _best(fitted: Path, prepared: Prepared) -> Array:

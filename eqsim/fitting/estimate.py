@@ -26,6 +26,12 @@ SAME_MINIMUM = 0.1
 # the least squared component of a parameter in a direction that moves it.
 _NULL = 1e-12
 _MOVED = 1e-12
+# Digits of powers in the name of a direction: the first number of them with which the
+# standard deviation grows by less than this factor; and the part of a unit vector that
+# is rounding.
+_DIGITS = (2, 3, 4, 5, 6)
+_ROUNDED_SD = 1.1
+_ROUNDING = 1e-14
 # Fall of chi-square that Gauss-Newton steps of `refine` still take, the share of it that
 # a step has to bring, and the most solves before a search with a trust region.
 _REFINED_GAIN = 5e-3
@@ -271,13 +277,15 @@ def different(minima: Sequence[Minimum]) -> list[Minimum]:
 
 class Direction(NamedTuple):
     """An eigenvector of J'J: eigenvalue, its ratio to the largest, standard deviation
-    of the parameters along it, components by key, and a name."""
+    of the parameters along it, components by key, a product of powers that goes along
+    it, its name, and the standard deviation of the product's logarithm."""
 
     eigenvalue: float
     ratio: float
     sd: float
     components: dict[str, float]
     name: str
+    sd_of_name: float
 
 
 def principal_axes(jacobian: Array) -> tuple[Array, Array]:
@@ -289,29 +297,47 @@ def principal_axes(jacobian: Array) -> tuple[Array, Array]:
     return singular, rows
 
 
-def ladder(keys: list[str], jacobian: Array) -> list[Direction]:
-    """Eigenvectors of J'J in the space of parameters' variables, best determined first."""
+def ladder(factors: dict[str, str], jacobian: Array) -> list[Direction]:
+    """Eigenvectors of J'J in the space of parameters' variables, best determined first.
+    `factors` names, by key, what each variable is the logarithm of."""
     singular, rows = principal_axes(jacobian)
     directions = []
     for value, row in zip((singular**2).tolist(), rows, strict=True):
         row = row * np.sign(row[np.argmax(np.abs(row))])
-        components = dict(zip(keys, row.tolist(), strict=True))
+        components = dict(zip(factors, row.tolist(), strict=True))
         ratio, sd = 0.0, math.inf
         if value > 0:
             ratio, sd = float(value / singular[0] ** 2), 1.0 / math.sqrt(value)
-        directions.append(Direction(value, ratio, sd, components, _product(components)))
+        exact, sd_of_name = row / row.max(), sd / float(row.max())
+        powers = exact
+        for digits in _DIGITS:
+            powers = _rounded(exact, digits)
+            # other directions count, too, as far as rounded powers go along them
+            along = rows @ powers
+            moved = np.abs(along) > _ROUNDING
+            there = math.inf
+            if np.all(singular[moved] > 0):
+                there = float(np.linalg.norm(along[moved] / singular[moved]))
+            if there <= _ROUNDED_SD * sd_of_name:
+                sd_of_name = there
+                break
+        name = _product(dict(zip(factors.values(), powers.tolist(), strict=True)))
+        known = Direction(value, ratio, sd, components, name, sd_of_name)
+        directions.append(known)
     return directions
 
 
-def _product(components: dict[str, float]) -> str:
-    """Name of a direction: a product of powers of its keys, the largest component
-    first."""
-    order = sorted(components.items(), key=lambda item: -abs(item[1]))
-    powers = {key: part / order[0][1] for key, part in order}
+def _rounded(powers: Array, digits: int) -> Array:
+    """Powers, of which the largest is 1, with so many digits, without small ones."""
+    rounded = [float(f"{power:.{digits}g}") for power in powers]
+    return np.where(np.abs(powers) > 10.0 ** (1 - digits), rounded, 0.0)
+
+
+def _product(powers: dict[str, float]) -> str:
+    """A product of powers, the largest first."""
+    order = sorted(powers.items(), key=lambda item: -abs(item[1]))
     return " * ".join(
-        key if power == 1.0 else f"{key}^{power:+.2g}"
-        for key, power in powers.items()
-        if abs(power) > 0.1
+        name if power == 1.0 else f"{name}^{power:+g}" for name, power in order if power
     )
 
 

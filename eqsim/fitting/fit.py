@@ -13,7 +13,7 @@ from scipy import stats
 
 from eqsim.errors import InputError, require_integer
 from eqsim.fitting import estimate, profiles, record, symmetry
-from eqsim.fitting.data import Measurements, read_table
+from eqsim.fitting.data import FORCES, Measurements, read_table
 from eqsim.fitting.estimate import DEGENERATE, Direction, Minimum, Tasks
 from eqsim.fitting.model import (
     DERIVATIVE_STEP,
@@ -146,7 +146,7 @@ class FitResult:
     def ladder(self) -> list[Direction]:
         """Eigenvectors of J'J, the best determined first."""
         jacobian = self.problem.unitless(self.jacobian)
-        return estimate.ladder(self.problem.keys, jacobian)
+        return estimate.ladder(self.problem.factors, jacobian)
 
     @cached_property
     def goodness(self) -> Goodness:
@@ -267,11 +267,11 @@ class FitResult:
 
     @cached_property
     def chi2_as_given(self) -> float:
-        """Least chi-square that was met with the errors of the data as they are given,
-        taken to be independent."""
+        """Chi-square with the errors of the data as they are given, taken to be
+        independent: at the best fit, or where they were taken so if that is less."""
         problem = replace(self.problem, correlation=None)
-        _, r = problem.deviations(self.best.u)
-        return min(float(r @ r), *(one.chi2 for one in self.minima))
+        first = min(self.minima, key=lambda one: one.chi2)
+        return min(goodness(problem, u).chi2 for u in (self.best.u, first.u))
 
     @property
     def converged(self) -> bool:
@@ -336,7 +336,7 @@ def prepare(
     free = parameters_of(file, section)
     table = measured(file, section, data, progress)
     scales, _ = section.scales(table.sets)
-    if scales and not {"friction", "force_std"} & set(table.observable):
+    if scales and not table.sets:
         raise InputError("fit.scale: no force was measured; give a fixed scale = 1.0")
     count, needed = table.value.size, len(free) + max(1, len(scales))
     if count < needed:
@@ -397,7 +397,7 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
     rows, value = table.conditions, table.value
     names, nuisance = np.array(table.observable), dict[str, Array]()
     spread = names == "force_std"
-    force = spread | (names == "friction")
+    force = np.isin(names, FORCES)
     forward: Forward = SteadyForward(
         file, rows, table.observable, free_scale=bool(scales)
     )
@@ -416,7 +416,8 @@ def problem_of(file: RunFile, section: Fit, table: Measurements) -> Problem:
     first, scale_of = len(parameters), np.full(names.size, -1)
     unit = np.ones(names.size)
     if scales:
-        sets = [table.sets.index(row.set) * (len(scales) > 1) for row in rows]
+        number = {name: i for i, name in enumerate(table.sets[: len(scales)])}
+        sets = [number.get(row.set, 0) for row in rows]
         scale_of = np.where(force, first + np.array(sets), -1)
     else:
         root = math.sqrt(file["contacts.count"])
@@ -538,7 +539,7 @@ def _singular(problem: Problem, allowed: bool) -> list[str]:
     """Warnings of directions that the data do not separate at the start, by the
     eigenvalues of J'J. Raises InputError unless these are allowed."""
     jacobian = problem.jacobian(problem.solved(problem.start).u)
-    rungs = estimate.ladder(problem.keys, problem.unitless(jacobian))
+    rungs = estimate.ladder(problem.factors, problem.unitless(jacobian))
     lost = [rung for rung in rungs if rung.ratio < DEGENERATE]
     if lost and not allowed:
         raise InputError(

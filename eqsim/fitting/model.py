@@ -343,6 +343,20 @@ class Problem:
             units.append(kinds[one.transform])
         return np.array(units)
 
+    @property
+    def factors(self) -> dict[str, str]:
+        """What the parameters' variables in their natural units are the logarithms of,
+        by key."""
+        names = {}
+        for one, unit in zip(self.parameters, self.unit_of_variables, strict=True):
+            names[one.key] = one.key
+            if one.transform == "log1p":
+                power = "" if unit == 1.0 else f"^{1.0 / unit:.3g}"
+                names[one.key] = f"(1 + {one.key}){power}"
+            elif one.transform == "linear":
+                names[one.key] = f"exp({one.key}/{unit:.3g})"
+        return names
+
     def steps(self, u: Array) -> Array:
         """Steps of derivatives with respect to each variable: those of a linear one are
         relative, as those of a logarithm are."""

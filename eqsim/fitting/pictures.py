@@ -70,7 +70,9 @@ class _Abscissa(NamedTuple):
         table, units = result.table, result.file.units
         if table.time is not None:
             return cls(table.time, axis("time", units), False, True)
-        velocity = np.array([*map(velocity_of, table.conditions)], float)
+        given = map(velocity_of, table.conditions)
+        steady = result.file["drive.velocity"]
+        velocity = np.array([steady if v is None else v for v in given], float)
         if np.unique(velocity[np.isfinite(velocity)]).size > 1:
             return cls(velocity, axis("drive.velocity", units), True, False)
         return cls(np.arange(1.0, table.value.size + 1), "measurement", False, False)
@@ -129,7 +131,7 @@ def _draw_data(
     for number, (label, members) in enumerate(series.items()):
         look = {"color": f"C{number % 8}", "marker": MARKERS[number % len(MARKERS)]}
         style = {**look, "markersize": size, "linestyle": "none"}
-        data = result.problem.value[members], result.table.sigma[members]
+        data = result.table.value[members], result.table.sigma[members]
         panel.errorbar(x.values[members], *data, label=label, capsize=size - 2, **style)
         drawn.append((members, style))
     value = result.table.value[here]
@@ -185,7 +187,8 @@ def _fitted_curve(
     abscissa, prediction and its standard deviation."""
     problem = result.problem
     if x.times:
-        return x.values, *band(problem, result)
+        y, sd = band(problem, result)
+        return x.values, y + _fixed(result), sd
     assert isinstance(problem.forward, SteadyForward)
     fine = np.unique(x.values[members])
     if problem.forward.observable[members[0]] in AVERAGES:  # others take a solve each
@@ -196,6 +199,11 @@ def _fitted_curve(
         like._replace(changes=(*shared, ("drive.velocity", v))) for v in fine.tolist()
     ]
     return fine, *band(problem.elsewhere(members[0], rows), result)
+
+
+def _fixed(result: "FitResult") -> Array:
+    """What the fixed offset, drift and trend add to a record."""
+    return result.table.value - result.problem.value
 
 
 @styled
@@ -218,9 +226,8 @@ def compared_figure(models: "Mapping[str, FitResult]", title: str) -> Figure:
         zip(models.items(), below, strict=True)
     ):
         predicted = one.problem.solved(one.best.u).predicted
-        constant = table.value - one.problem.value  # fixed offset and drift
         line = {"color": f"C{number}", "linestyle": DASHES[number % len(DASHES)]}
-        top.plot(x.values, predicted + constant, label=name, **line)
+        top.plot(x.values, predicted + _fixed(one), label=name, **line)
         r = (one.problem.value - predicted) / table.sigma
         marks = {"color": f"C{number}", "marker": "o", "markersize": 2}
         panel.plot(x.values, r, linestyle="none", **marks)

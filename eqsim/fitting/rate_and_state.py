@@ -192,6 +192,7 @@ def fit_rate_and_state(
     stiffness = stiffness or section.record.machine_stiffness
     trends: dict[str, Trend] = {} if trend == "none" else {"trend": trend}
     problem = problem_of(file, table, law, trends, stiffness)
+    problem = replace(problem, loss=section.loss)
     prepared = Prepared(file, section, table, problem, [])
     return _solved(prepared, starts, workers, progress)
 
@@ -210,6 +211,7 @@ def beside(file: RunFile, law: StateLaw, data: Path | None) -> RateAndStateFit:
         trends["drift"] = "time"
     bare = table._replace(value=without_fixed(file, section, table))
     problem = problem_of(file, bare, law, trends, section.record.machine_stiffness)
+    problem = replace(problem, loss=section.loss)
     return _solved(Prepared(file, section, table, problem, []))
 
 
@@ -322,7 +324,8 @@ def record_of(
     at : sequence of float
         When it changes from one to the next (time).
     columns : sequence of str
-        Names of the two or three columns; by default the first ones.
+        Names of the two or three columns; by default the first three, and of a file of
+        two with `noise` both.
     noise : float
         Standard error of every point, in quadrature to that of the file.
 
@@ -352,7 +355,10 @@ def record_of(
     sheet, names = read(path, f"record = {path}"), list(columns)
     if not names:
         sheet.require_names()
-        names = sheet.columns[: 2 if noise else 3]
+        names = sheet.columns[:3]
+        if noise and len(names) == 3:
+            said = f"must be given with noise, as {names[2]} may be an error or not"
+            raise InputError(f"columns: {said}")
     if not (len(names) == 3 or (len(names) == 2 and noise)):
         said = "must be those of time, force and, unless there is noise, standard error"
         raise InputError(f"columns = {shown(names)}: {said}")

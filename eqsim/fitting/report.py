@@ -63,7 +63,7 @@ def summary(result: FitResult, sampled: Posterior | None = None) -> dict[str, An
             {
                 "value": rung.eigenvalue,
                 "direction": rung.name,
-                **_pick(rung._asdict(), "ratio", "sd", "components"),
+                **_pick(rung._asdict(), "sd_of_name", "ratio", "sd", "components"),
             }
             for rung in result.ladder
         ],
@@ -95,16 +95,17 @@ def fitted(result: FitResult) -> dict[str, Any]:
         columns["temperature"] = np.array([one.kelvin for one in table.conditions])
     if table.time is not None:
         columns["time"] = table.time
-    if len(table.sets) > 1:
-        columns["set"] = [one.set for one in table.conditions]
+    sets = [one.set for one in table.conditions]
+    if len({*sets}) > 1:
+        columns["set"] = sets
     best = problem.solved(result.best.u)
     r = (problem.value - best.predicted) / table.sigma
     return {
         **columns,
         "observable": list(table.observable),
-        "measured": problem.value,
+        "measured": table.value,
         "sigma": table.sigma,
-        "fitted": best.predicted,
+        "fitted": best.predicted + (table.value - problem.value),
         "solver_error": best.error,
         "residual": r,
         "whitened": problem.white(r),
@@ -282,12 +283,12 @@ def remarks(result: FitResult) -> Iterator[str]:
         values = ", ".join(f"{minimum.chi2:.4g}" for minimum in minima[:5])
         yield f"{len(minima)} minima among {count} starts, chi-square {values}"
     best = result.ladder[0]
-    yield f"best determined: {best.name}, to {best.sd:.2g}"
+    yield f"best determined: {best.name}, to {100.0 * best.sd_of_name:.2g} %"
     for rung in result.ladder:
         if rung.ratio < DEGENERATE:
             yield f"not separated (eigenvalue ratio {rung.ratio:.1e}): {rung.name}"
         elif rung.sd > WIDE:
-            factor = math.exp(min(rung.sd, 50.0))
+            factor = math.exp(min(rung.sd_of_name, 50.0))
             yield f"known to no better than a factor {factor:.3g}: {rung.name}"
     unsure = [one.key for one in result.intervals if one.status in UNSURE]
     heat = ("thermal.kT", "thermal.attempt_frequency")

@@ -203,8 +203,8 @@ def read(path: Path, field: str, decimal: str | None = None) -> Sheet:
     if len(lines) > 2:
         units, row = (line.replace('"', "").split(separator) for line in lines[1:3])
         units = [unit.strip() for unit in units]
-        # dashes alone stand for missing numbers
-        named = any(unit.strip("-") for unit in units)
+        # dashes alone, or N/A, stand for missing numbers
+        named = any(unit.strip("-") and not GAP.fullmatch(unit) for unit in units)
         are_units = named and all(map(_UNIT.fullmatch, units))
         if are_units and not _numbers(units, sign) and _numbers(row, sign):
             return replace(sheet, first=head[1][0], units=tuple(units))

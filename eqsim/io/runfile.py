@@ -485,7 +485,9 @@ def _load(file: RunFile) -> None:
     load = given["load"] if given else None
     if isinstance(load, str):
         where = f"elastic.load = {load}"
-        sheet = csv.read(path_of("elastic.load", file.folder, load), where).whole
+        sheet = csv.read(path_of("elastic.load", file.folder, load), where)
+        sheet.require_names()  # "1,5" is no pair of loads
+        sheet = sheet.whole
         load = csv.numbers(sheet, sheet.columns[:1], strict=True).values[:, 0].tolist()
     elif isinstance(load, dict):
         if load.keys() != {"first", "last"}:

@@ -540,6 +540,27 @@ def test_states_stay_until_results_are_on_disk(tmp_path, monkeypatch):
     assert not list(out.glob(".unfinished-*"))
 
 
+def test_states_that_cannot_be_written_or_read_are_none(tmp_path):
+    """They do not end a run: the next one is saved when it is time."""
+    states, state = States(tmp_path, "a run"), {"done": np.array(3)}
+    states.folder.touch()  # no file can be written below a file
+    states.save(0, state)
+    assert not states.due(0)
+    states.folder.unlink()
+    states.save(0, state)
+    assert states.load(0) == state
+    path = states.folder / "0.npz"
+    whole = path.read_bytes()
+    header = whole.index(b"PK\x01\x02")
+    for offset, value in ((8, 1), (10, 99)):  # encrypted, in an unknown way compressed
+        damaged = bytearray(whole)
+        damaged[header + offset] = value
+        path.write_bytes(damaged)
+        assert states.load(0) is None
+    path.write_bytes(b"")
+    assert states.load(0) is None
+
+
 def test_blocks_may_stand_in_the_interface(tmp_path):
     """The same numbers from [interface], from a load by its ends or from a file, and by
     --set; a key in both sections is refused."""

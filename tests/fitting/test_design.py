@@ -1,5 +1,6 @@
 """What measurements tell before they are made: expected errors, and `eqsim design`."""
 
+import hashlib
 import json
 import math
 from pathlib import Path
@@ -153,6 +154,22 @@ def test_the_next_measurement(folder):
     assert len(sd) == 5
     assert np.all(np.diff(sd) < 0)  # every measurement helps
     assert sd[1] < 0.6 * sd[0]
+
+
+def test_where_the_next_measurement_is_made(folder):
+    """At the run file's value of a key that is a column of the data, which is told."""
+    data = (folder / "data.csv").read_text().splitlines()
+    lines = [
+        f"{line},{x}"
+        for line, x in zip(data, ["delay.time", *[0.0] * 99], strict=False)
+    ]
+    (folder / "data.csv").write_text("\n".join(lines))
+    digest = hashlib.sha256((folder / "data.csv").read_bytes()).hexdigest()
+    found = json.loads((folder / "fit.json").read_text())
+    (folder / "fit.json").write_text(json.dumps({**found, "data_sha256": digest}))
+    one = "--for", "thermal.kT", "--next", 1, "--set", "delay.time=2.0"
+    assert "at delay.time = 2.0 of the run file" in call(folder, *one).output
+    assert json.loads(call(folder, *one, "--json").output)["at"] == {"delay.time": 2.0}
 
 
 @pytest.mark.parametrize(

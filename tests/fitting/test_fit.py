@@ -36,7 +36,7 @@ from eqsim.fitting.estimate import (
 )
 from eqsim.fitting.fit import compared, fit, goodness, prepare, rival_of
 from eqsim.fitting.model import Problem
-from eqsim.fitting.pictures import band
+from eqsim.fitting.pictures import band, data_figure
 from eqsim.fitting.section import NormalPrior, Parameter, parameters_of, section_of
 from eqsim.io.parameters import parameters
 from eqsim.io.runfile import at, check, load
@@ -387,6 +387,59 @@ def test_sets_have_their_own_scale(folder):
     derived = {key for key in found.derived if key.startswith("F0")}
     assert derived == {"F0 of set a = N k x_*", "F0 of set b = N k x_*"}
     assert found.derived["F0 of set b = N k x_*"] == values["fit.scale.b"]
+
+
+DELTA = """
+[thresholds]
+law = "delta"
+[delay]
+time = 0.5
+[drive]
+velocity = 1.0
+[fit]
+data = "data.csv"
+scale = { start = 1.0, bounds = [0.01, 100.0] }
+[fit.free]
+"thresholds.x_star" = { bounds = [0.1, 10.0] }
+"""
+
+
+def test_an_empty_velocity_is_that_of_the_run_file(folder):
+    """In the picture, too, so that the command writes all its files."""
+    lines = [
+        "drive.velocity,friction,friction_stderr",
+        "0.1,0.48,0.01",
+        ",0.33,0.01",
+        "2,0.25,0.01",
+        "4,0.17,0.01",
+    ]
+    (folder / "data.csv").write_text("\n".join(lines))
+    (folder / "run.toml").write_text(DELTA)
+    done = call("fit", folder / "run.toml", "--out", folder / "out", "--starts", "1")
+    assert done.exit_code == 0, done.output
+    assert (folder / "out" / "fit.png").exists()
+    (panel,) = data_figure(prepare(load(folder / "run.toml"), None, False), "").axes
+    assert list(panel.lines[0].get_xdata()) == [0.1, 1.0, 2.0, 4.0]
+
+
+def test_sets_without_a_force_have_no_scale(folder):
+    """Shares of pinned contacts tell no scale; and all rows name their set, or none."""
+    lines = ["drive.velocity,friction,friction_stderr,pinned,pinned_stderr,set"]
+    lines += [
+        "0.1,0.466,0.01,,,a",
+        "1,0.343,0.01,,,a",
+        "2,0.26,0.01,,,a",
+        "8,,,0.11,0.01,b",
+    ]
+    (folder / "data.csv").write_text("\n".join(lines))
+    (folder / "run.toml").write_text(DELTA)
+    problem = prepare(load(folder / "run.toml"), None, False).problem
+    assert problem.keys == ["thresholds.x_star", "fit.scale"]
+    assert problem.scale_of.tolist() == [1, 1, 1, -1]
+    (folder / "data.csv").write_text("\n".join([*lines, "4,0.16,0.01,,,"]))
+    refused = call("fit", folder / "run.toml", "--out", folder / "out")
+    assert (refused.exit_code, refused.stderr.count("\n")) == (2, 1)
+    assert "line 6: set: must have a name in all rows, or in none" in refused.stderr
 
 
 def test_outliers(folder):
@@ -909,7 +962,7 @@ def test_ladder():
     """Eigenvalues and directions of a matrix made of known ones; a null direction has
     no bound."""
     turned, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))
-    rungs = ladder(["a", "b", "c"], np.diag([10.0, 1.0, 0.0]) @ turned)
+    rungs = ladder({name: name for name in "abc"}, np.diag([10.0, 1.0, 0.0]) @ turned)
     assert [rung.eigenvalue for rung in rungs] == pytest.approx(
         [100.0, 1.0, 0.0], abs=1e-12
     )
@@ -921,6 +974,42 @@ def test_ladder():
         found = np.array(list(rung.components.values()))
         assert abs(found @ row) == pytest.approx(1.0, rel=1e-12, abs=0)
     assert np.all(np.isinf(covariance(np.zeros((3, 2)))))
+
+
+def test_names_of_directions_have_the_errors_that_stand_beside_them():
+    """The product of powers as it is printed, of draws from the law that the covariance
+    describes: its logarithm has the standard deviation quoted, to six of that of a
+    sample, 1 in 5e8; and hardly more than the direction itself."""
+    rng = np.random.default_rng(3)
+    parameters = [
+        Parameter("thermal.kT", "log", -3.0, 3.0, -1.0),
+        Parameter("thresholds.n", "log1p", -0.5, 2.0, 0.7),
+        Parameter("fit.trend", "linear", -0.02, 0.02, 0.01),
+    ]
+    problem = problem_of_formula(np.ones, parameters, np.ones(4), np.ones(4))
+    jacobian = rng.standard_normal((4, 3)) @ np.diag([1e4, 1e3, 1e2])
+    u = rng.multivariate_normal(problem.start, covariance(jacobian), 10_000)
+    values = {
+        one.key: np.asarray(one.value(x))
+        for one, x in zip(parameters, u.T, strict=True)
+    }
+    for rung in ladder(problem.factors, problem.unitless(jacobian)):
+        total = np.zeros(len(u))
+        for factor in rung.name.split(" * "):
+            name, _, power = (
+                factor.rpartition("^") if "^" in factor else (factor, "", 1)
+            )
+            (key,) = [key for key in values if key in name]
+            if name.startswith("exp("):
+                log = values[key] / float(name[:-1].rpartition("/")[2])
+            else:
+                log = np.log(values[key] + (1.0 if name.startswith("(1 + ") else 0.0))
+            total += float(power) * log
+        assert total.std() == pytest.approx(
+            rung.sd_of_name, rel=6.0 / math.sqrt(2.0 * u.shape[0]), abs=0
+        )
+        largest = max(map(abs, rung.components.values()))
+        assert rung.sd_of_name <= 1.1 * rung.sd / largest
 
 
 def test_covariance_of_keys_that_only_their_product_tells():

@@ -27,6 +27,7 @@ from eqsim.fitting.fit import (
     rival_of,
 )
 from eqsim.fitting.model import Problem
+from eqsim.fitting.pictures import data_figure
 from eqsim.fitting.profiles import LEVELS, Side
 from eqsim.fitting.record import RecordForward, correlated, settle_steps, shapes
 from eqsim.fitting.section import Parameter, section_of
@@ -530,7 +531,12 @@ def test_check_reads_and_draws(folder):
     for said in ("4001 rows", "t = 7 is 0", "no feature is smeared"):
         assert said in done.output
     assert [path.name for path in (folder / "out").iterdir()] == ["data.png"]
-    assert prepare(load(folder / "run.toml"), None, False).table.time.size < 2000
+    prepared = prepare(load(folder / "run.toml"), None, False)
+    assert prepared.table.time.size < 2000
+    fixed = prepare(load(folder / "run.toml", {"fit.offset": 0.3}), None, False)
+    drawn, shifted = (data_figure(one, "").axes[0].lines for one in (prepared, fixed))
+    for line, other in zip(drawn, shifted, strict=True):  # rows, and their means
+        assert np.array_equal(line.get_ydata(), other.get_ydata())
 
 
 def test_a_drift_is_told_from_the_middle_of_a_record(folder):

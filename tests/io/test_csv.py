@@ -162,6 +162,7 @@ def test_comments_with_quotes_in_tables_of_thresholds_and_measurements(tmp_path)
         (b"t,X\n0,0\n1,2 um\n", "line 3: X = '2 um': must be a number"),
         (b"t,X\n0,0\n1,1_0\n", "line 3: X = '1_0': must be a number"),
         (b"t,X\n0,0\n1,\n", "line 3: X = '': must be a number"),
+        (b"t,X\nNA,N/A\n1,2\n", "line 2: t = 'NA': must be a number"),  # no units
         (b"t,X\n0,0\n1,1e999\n", "line 3: X = 1e999: must be finite"),
         (b"t,X,t\n0,0,1\n", 'has 2 columns "t"'),
         (b"0,0\n1,2\n", 'needs a column "t"'),
