@@ -5,16 +5,19 @@ import shutil
 import time
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 
+from eqsim.errors import InputError
 from eqsim.io import storage
 from eqsim.io.runfile import RunFile, contents_of
 from eqsim.numerics.tables import Array
 
 _EVERY = 30.0  # seconds between two states of a replica
+# What numpy and zipfile raise for a file that is absent, empty or damaged.
+_DAMAGED = (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile)
 
 
 class States:
@@ -34,13 +37,16 @@ class States:
         try:
             with np.load(self._path(replica)) as saved:
                 return dict(saved)
-        except (OSError, ValueError, zipfile.BadZipFile):
+        except _DAMAGED:
             return None
 
     def save(self, replica: int, state: dict[str, Array]) -> None:
+        """Save a state. One that cannot be written, as on a full disk, does not end the
+        run: the next one is tried as usual."""
         content = io.BytesIO()
         np.savez(content, allow_pickle=False, **state)
-        storage.save(self._path(replica), content.getvalue())
+        with suppress(InputError):
+            storage.save(self._path(replica), content.getvalue())
         self.saved[replica] = time.perf_counter()
 
     def remove(self) -> None:
