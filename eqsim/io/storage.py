@@ -150,9 +150,11 @@ def origin_of(schema: Any) -> dict[str, Any]:
 
 def from_parquet(content: bytes) -> Any:
     """The pyarrow table of a Parquet file with checksums; None if it is damaged."""
+    from pyarrow import ArrowException
+
     try:
         return read_parquet(content, checksums=True)
-    except (OSError, ValueError, MemoryError):  # pyarrow's own errors are among these
+    except (OSError, ArrowException, ValueError, MemoryError):
         return None
 
 

@@ -1,6 +1,7 @@
 """Sweeps: rows, the folder that survives anything, and workers that do not change a
 bit."""
 
+import base64
 import concurrent.futures as futures
 import contextlib
 import dataclasses
@@ -788,6 +789,21 @@ def test_page_checksums_see_every_byte_of_the_data(small, tmp_path):
         found = storage.from_parquet(bytes(bad))
         # some bits of a page's header mean nothing
         assert found is None or found.equals(table)
+
+
+def test_a_footer_with_a_wrong_byte_is_damaged():
+    """Integers of one bit instead of 64, which pyarrow does not read."""
+    from eqsim.io import storage
+
+    content = storage.as_parquet(pa.table({"seed": [1]}))
+    text = pq.ParquetFile(pa.BufferReader(content)).metadata.metadata[b"ARROW:schema"]
+    schema = base64.b64decode(text)
+    bits = [int(n).to_bytes(4, "little") for n in (64, 1)]
+    assert schema.count(bits[0]) == 1
+    wrong = content.replace(text, base64.b64encode(schema.replace(*bits)))
+    with pytest.raises(pa.ArrowNotImplementedError):
+        storage.read_parquet(wrong)
+    assert storage.from_parquet(wrong) is None
 
 
 def test_death_between_the_table_and_its_parts_doubles_nothing(
