@@ -69,9 +69,13 @@ def as_csv(paths: list[Path]) -> bytes:
     """The rows of Parquet files with the same columns. Raises InputError."""
     import pyarrow
 
+    def read(files: list[Path]) -> tuple[list[Path], Any]:
+        parts = [storage.read_parquet(path.read_bytes()) for path in files]
+        return files, pyarrow.concat_tables(parts)
+
     try:
-        parts = [storage.read_parquet(path.read_bytes()) for path in paths]
-        table = pyarrow.concat_tables(parts)
+        folder = sweep_of(paths[0]) or paths[0].parent
+        paths, table = storage.read_listed(folder, paths, read)
         origin = json.loads((table.schema.metadata or {}).get(b"eqsim", b"{}"))
     except OSError as error:
         why = error.strerror or error

@@ -10,11 +10,12 @@ import platform
 import shutil
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from glob import glob
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -24,6 +25,8 @@ from eqsim.lazy import lazily
 
 with lazily():
     from eqsim import results
+
+Result = TypeVar("Result")
 
 # Files in the folder of a sweep (`eqsim.sweeps.store`).
 SWEEP_TABLE = "sweep.parquet"  # all rows, in the order of the grid, once all are there
@@ -48,8 +51,24 @@ def sweep_files(folder: Path) -> list[Path] | None:
     row is there yet. None for a folder that holds no sweep."""
     if not (folder / SWEEP_MANIFEST).exists():
         return None
-    parts = sweep_parts(folder)  # first: they are removed once the table is there
-    return [*folder.glob(SWEEP_TABLE)] or parts
+    for _ in range(2):  # parts that are renamed meanwhile are seen at the second look
+        parts = sweep_parts(folder)  # first: they are removed once the table is there
+        if files := [*folder.glob(SWEEP_TABLE)] or parts:
+            return files
+    return []
+
+
+def read_listed(
+    folder: Path, files: list[Path], read: Callable[[list[Path]], Result]
+) -> Result:
+    """What `read` makes of the `files` of a sweep, listed anew where the sweep ends
+    before they are read. Raises what `read` does."""
+    for _ in range(2):
+        try:
+            return read(files)
+        except FileNotFoundError:
+            files = sweep_files(folder) or files
+    return read(files)
 
 
 def planned_points(folder: Path) -> int | None:

@@ -140,7 +140,8 @@ def read_sweep(folder: Path) -> Sweep:
     if files is not None and not files:
         raise InputError(f"{folder}: holds no point yet{of}")
     try:
-        found = pq.read_table(folder if files is None else files)
+        read = pq.read_table
+        found = storage.read_listed(folder, files, read) if files else read(folder)
     except (OSError, pyarrow.ArrowException) as error:
         said = f"cannot be read as Parquet files ({str(error).splitlines()[0]})"
         if (folder / "summary.json").is_file():

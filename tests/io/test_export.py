@@ -198,6 +198,47 @@ def test_a_sweep_that_ends_while_it_is_listed(tmp_path, monkeypatch, hidden):
     assert storage.sweep_files(tmp_path) == [found]
 
 
+def test_parts_that_are_renamed_after_both_listings(tmp_path, monkeypatch):
+    """They are found where they are then."""
+    parts, renamed = tmp_path / "parts", tmp_path / "_parts"
+    parts.mkdir()
+    for path in (tmp_path / "_sweep.json", parts / "part-0.parquet"):
+        path.touch()
+
+    def listed(pattern, root_dir):
+        names = glob.glob(pattern, root_dir=root_dir)
+        if root_dir == renamed and parts.exists():
+            parts.replace(renamed)
+        return names
+
+    monkeypatch.setattr(storage, "glob", listed)
+    assert storage.sweep_files(tmp_path) == [renamed / "part-0.parquet"]
+
+
+@pytest.mark.parametrize("command", ["export", "plot"])
+def test_a_sweep_that_ends_before_it_is_read(made, tmp_path, monkeypatch, command):
+    """Its table takes the place of the parts that were listed."""
+    folder = tmp_path / "half"
+    (folder / "parts").mkdir(parents=True)
+    (folder / "_sweep.json").write_text('{"points": 2}')
+    table = made / "swept" / "sweep.parquet"
+    shutil.copy(table, folder / "parts" / "part-0.parquet")
+    listed = storage.sweep_files
+
+    def ended(where):
+        files = listed(where)
+        shutil.copy(table, folder)
+        shutil.rmtree(folder / "parts", ignore_errors=True)
+        return files
+
+    monkeypatch.setattr(storage, "sweep_files", ended)
+    done = call(command, folder)
+    assert done.exit_code == 0, done.output
+    if command == "export":
+        assert same(tmp_path / "half.csv", made / "swept")
+        assert "not finished" not in (tmp_path / "half.csv").read_text()
+
+
 def test_a_sweep_that_was_stopped(made, tmp_path):
     """A sweep that is broken off leaves what its export shows."""
     file = load(made / "a.toml")
