@@ -986,8 +986,9 @@ def test_names_of_directions_have_the_errors_that_stand_beside_them():
         Parameter("thresholds.n", "log1p", -0.5, 2.0, 0.7),
         Parameter("fit.trend", "linear", -0.02, 0.02, 0.01),
     ]
-    problem = problem_of_formula(np.ones, parameters, np.ones(4), np.ones(4))
-    jacobian = rng.standard_normal((4, 3)) @ np.diag([1e4, 1e3, 1e2])
+    problem = problem_of_formula(np.ones, parameters, np.ones(3), np.ones(3))
+    turned, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    jacobian = np.diag([1e4, 1e2, 10.0]) @ turned / problem.unit_of_variables
     u = rng.multivariate_normal(problem.start, covariance(jacobian), 10_000)
     values = {
         one.key: np.asarray(one.value(x))
