@@ -704,7 +704,7 @@ MISTAKES = [
       "slopes = -problem.unitless", "slopes = problem.unitless",
       "test_fit.py::test_profiles_move_other_parameters_off_their_bounds"),
     M("fits: rate-and-state laws have normal errors", "fitting/rate_and_state.py",
-      "law, trends, stiffness)\n    problem = replace(problem, loss=section.loss)", "law, trends, stiffness)",
+      "replace(prepared.problem, loss=prepared.fit.loss)", "prepared.problem",
       "test_rate_and_state.py::test_outliers"),
     M("fits: n in the place of 1 + n", "fitting/model.py", 'f"(1 + {one.key}){power}"', "one.key",
       "test_fit.py::test_names_of_directions_have_the_errors_that_stand_beside_them"),

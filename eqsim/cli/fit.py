@@ -299,15 +299,21 @@ def design(
     limits = options.limits("velocity"), options.limits("temperature")
     found = designing.design(file, options.fitted, options.key, options.count, *limits)
     name = file.title or path.stem
-    at = ", ".join(f"{key} = {value}" for key, value in found.at.items())
-    said = f"at {at} of the run file; --set {next(iter(found.at), '')}=... for others"
     shown.report(
         {**found._asdict(), "steps": [step._asdict() for step in found.steps]},
         title=f"{name}: the next measurements of friction for {options.key}",
         columns=("", "velocity", "temperature", f"expected sd of {found.variable}"),
         rows=_steps(found),
-        notes=[_EXPECTED, *[said] * bool(at)],
+        notes=_made_at(found),
     )
+
+
+def _made_at(found: "designing.Design") -> Iterator[str]:
+    """The printed lines on what is expected, and at which values of other keys."""
+    yield _EXPECTED
+    if found.at:
+        at = ", ".join(f"{key} = {value}" for key, value in found.at.items())
+        yield f"at {at} of the run file; --set {next(iter(found.at))}=... for others"
 
 
 def _steps(found: "designing.Design") -> Iterator[tuple[str, str, str, str]]:

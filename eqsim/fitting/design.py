@@ -107,8 +107,7 @@ def design(
         kelvin = float(T[best]) if prepared.fit.temperature is not None else None
         steps.append(NextMeasurement(float(v[best]), kelvin, after[best]))
     name = problem.parameters[index].variable_name
-    others = [name for name in prepared.table.names if name != "drive.velocity"]
-    at = {other: file[other] for other in others}
+    at = {one: file[one] for one in prepared.table.names if one != "drive.velocity"}
     return Design(key, name, now, repeated, steps, at)
 
 

@@ -308,16 +308,10 @@ def ladder(factors: dict[str, str], jacobian: Array) -> list[Direction]:
         ratio, sd = 0.0, math.inf
         if value > 0:
             ratio, sd = float(value / singular[0] ** 2), 1.0 / math.sqrt(value)
-        exact, sd_of_name = row / row.max(), sd / float(row.max())
-        powers = exact
+        sd_of_name = sd / float(row.max())
         for digits in _DIGITS:
-            powers = _rounded(exact, digits)
-            # other directions count, too, as far as rounded powers go along them
-            along = rows @ powers
-            moved = np.abs(along) > _ROUNDING
-            there = math.inf
-            if np.all(singular[moved] > 0):
-                there = float(np.linalg.norm(along[moved] / singular[moved]))
+            powers = _rounded(row / row.max(), digits)
+            there = _sd_along(powers, singular, rows)
             if there <= _ROUNDED_SD * sd_of_name:
                 sd_of_name = there
                 break
@@ -331,6 +325,16 @@ def _rounded(powers: Array, digits: int) -> Array:
     """Powers, of which the largest is 1, with so many digits, without small ones."""
     rounded = [float(f"{power:.{digits}g}") for power in powers]
     return np.where(np.abs(powers) > 10.0 ** (1 - digits), rounded, 0.0)
+
+
+def _sd_along(powers: Array, singular: Array, rows: Array) -> float:
+    """The standard deviation of the logarithm of a product of powers, which goes along
+    several directions; infinite if one of these has no bound."""
+    along = rows @ powers
+    moved = np.abs(along) > _ROUNDING
+    if np.any(singular[moved] == 0):
+        return math.inf
+    return float(np.linalg.norm(along[moved] / singular[moved]))
 
 
 def _product(powers: dict[str, float]) -> str:

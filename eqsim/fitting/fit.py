@@ -274,6 +274,12 @@ class FitResult:
         return min(goodness(problem, u).chi2 for u in (self.best.u, first.u))
 
     @property
+    def fixed(self) -> Array:
+        """Fixed offset, drift and trend, as they add to a record, (measurements,); of a
+        table 0."""
+        return self.table.value - self.problem.value
+
+    @property
     def converged(self) -> bool:
         """True if any start converged."""
         return any(one.converged for one in self.minima)

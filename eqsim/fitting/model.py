@@ -345,8 +345,8 @@ class Problem:
 
     @property
     def factors(self) -> dict[str, str]:
-        """What the parameters' variables in their natural units are the logarithms of,
-        by key."""
+        """Names of what the parameters' variables in their natural units are the
+        logarithms of, by key."""
         names = {}
         for one, unit in zip(self.parameters, self.unit_of_variables, strict=True):
             names[one.key] = one.key

@@ -188,7 +188,7 @@ def _fitted_curve(
     problem = result.problem
     if x.times:
         y, sd = band(problem, result)
-        return x.values, y + _fixed(result), sd
+        return x.values, y + result.fixed, sd
     assert isinstance(problem.forward, SteadyForward)
     fine = np.unique(x.values[members])
     if problem.forward.observable[members[0]] in AVERAGES:  # others take a solve each
@@ -199,11 +199,6 @@ def _fitted_curve(
         like._replace(changes=(*shared, ("drive.velocity", v))) for v in fine.tolist()
     ]
     return fine, *band(problem.elsewhere(members[0], rows), result)
-
-
-def _fixed(result: "FitResult") -> Array:
-    """What the fixed offset, drift and trend add to a record."""
-    return result.table.value - result.problem.value
 
 
 @styled
@@ -227,7 +222,7 @@ def compared_figure(models: "Mapping[str, FitResult]", title: str) -> Figure:
     ):
         predicted = one.problem.solved(one.best.u).predicted
         line = {"color": f"C{number}", "linestyle": DASHES[number % len(DASHES)]}
-        top.plot(x.values, predicted + _fixed(one), label=name, **line)
+        top.plot(x.values, predicted + one.fixed, label=name, **line)
         r = (one.problem.value - predicted) / table.sigma
         marks = {"color": f"C{number}", "marker": "o", "markersize": 2}
         panel.plot(x.values, r, linestyle="none", **marks)

@@ -192,7 +192,6 @@ def fit_rate_and_state(
     stiffness = stiffness or section.record.machine_stiffness
     trends: dict[str, Trend] = {} if trend == "none" else {"trend": trend}
     problem = problem_of(file, table, law, trends, stiffness)
-    problem = replace(problem, loss=section.loss)
     prepared = Prepared(file, section, table, problem, [])
     return _solved(prepared, starts, workers, progress)
 
@@ -211,7 +210,6 @@ def beside(file: RunFile, law: StateLaw, data: Path | None) -> RateAndStateFit:
         trends["drift"] = "time"
     bare = table._replace(value=without_fixed(file, section, table))
     problem = problem_of(file, bare, law, trends, section.record.machine_stiffness)
-    problem = replace(problem, loss=section.loss)
     return _solved(Prepared(file, section, table, problem, []))
 
 
@@ -221,8 +219,10 @@ def _solved(
     workers: int = 1,
     progress: Progress = lambda done, total: None,
 ) -> RateAndStateFit:
-    """Least squares from every start, and intervals. Raises InputError."""
-    problem = prepared.problem
+    """Least squares from every start, with the loss of the section, and intervals.
+    Raises InputError."""
+    problem = replace(prepared.problem, loss=prepared.fit.loss)
+    prepared = prepared._replace(problem=problem)
     if problem.value.size <= len(problem.parameters):
         count, free = problem.value.size, len(problem.parameters)
         raise InputError(f"fit.record: has {count} points for {free} parameters")

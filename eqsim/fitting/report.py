@@ -105,7 +105,7 @@ def fitted(result: FitResult) -> dict[str, Any]:
         "observable": list(table.observable),
         "measured": table.value,
         "sigma": table.sigma,
-        "fitted": best.predicted + (table.value - problem.value),
+        "fitted": best.predicted + result.fixed,
         "solver_error": best.error,
         "residual": r,
         "whitened": problem.white(r),

@@ -61,8 +61,8 @@ def sweep_files(folder: Path) -> list[Path] | None:
 def read_listed(
     folder: Path, files: list[Path], read: Callable[[list[Path]], Result]
 ) -> Result:
-    """What `read` makes of the `files` of a sweep, listed anew where the sweep ends
-    before they are read. Raises what `read` does."""
+    """Read the `files` of a sweep, listed anew where the sweep ends before they are
+    read. Raises what `read` does."""
     for _ in range(2):
         try:
             return read(files)

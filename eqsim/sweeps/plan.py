@@ -78,10 +78,13 @@ class Plan:
                 given = f"elastic.blocks = {shown(blocks)}"
                 raise InputError(f"{given}: a sweep has a column for chains only")
         except InputError as error:
-            where = f"sweep, point {index + 1} of {self.size}"
-            raise InputError(f"{where}: {error}") from None
+            raise InputError(f"{self._place(index)}: {error}") from None
         self.runs.add(run_of(drive))
         return identity(point, ensemble)
+
+    def _place(self, index: int) -> str:
+        """The words with which a message on a point begins."""
+        return f"sweep, point {index + 1} of {self.size}"
 
     def changes(self, index: int) -> dict[str, Any]:
         """Keys and values in which a point differs from the run file."""
@@ -99,9 +102,10 @@ class Plan:
         point, seed = self.at(index), seed_of(self.ids[index])
         ensemble = point.ensemble
         if self.checked and identity(point, ensemble) != self.ids[index]:
-            where = f"sweep, point {index + 1} of {self.size}"
             said = "a file that the run file names has changed since the sweep began"
-            raise InputError(f"{where}: {said}; finished points are on disk")
+            raise InputError(
+                f"{self._place(index)}: {said}; finished points are on disk"
+            )
         points, replicas = point.output.points, point.output.replicas
         return Task(seed, ensemble, point.drive, points, replicas)
 
