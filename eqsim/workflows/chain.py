@@ -12,7 +12,6 @@ from eqsim.engine.chain_records import ChainTrajectory
 from eqsim.engine.trajectory import check_run, guarded
 from eqsim.errors import InputError, shown
 from eqsim.io.runfile import RunFile
-from eqsim.io.states import kept
 from eqsim.lazy import lazily
 from eqsim.model.drive import Programme
 from eqsim.workflows.report import How, Solved
@@ -139,7 +138,6 @@ def run_chain(file: RunFile, how: How) -> ChainResult:
 
     say = getattr(how.progress, "say", lambda _: None)  # a bar shows it
     guard = guarded(told, expected, how.max_lives)
-    with kept(file, how.keep) as states:
-        given = how.threads, guard, states, front
-        found = chain_trajectory(ensemble, drive, output, *given)
+    given = how.threads, guard, how.keep, front
+    found = chain_trajectory(ensemble, drive, output, *given)
     return ChainResult(file, found)

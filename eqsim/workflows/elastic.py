@@ -12,7 +12,6 @@ from eqsim.engine.records import ElasticTrajectory
 from eqsim.engine.trajectory import guarded
 from eqsim.estimate import Estimate, score
 from eqsim.io.runfile import RunFile
-from eqsim.io.states import kept
 from eqsim.lazy import lazily
 from eqsim.master.avalanche_sizes import averages_of_blocks, size_law
 from eqsim.master.steady import reference
@@ -178,6 +177,5 @@ def run_elastic(file: RunFile, how: How) -> ElasticResult:
         how.progress(lives, max(lives, expected))
 
     guard = guarded(told, expected, how.max_lives)
-    with kept(file, how.keep) as states:
-        found = simulate_blocks(ensemble, drive, output, how.threads, guard, states)
+    found = simulate_blocks(ensemble, drive, output, how.threads, guard, how.keep)
     return ElasticResult(file, found)

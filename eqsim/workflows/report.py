@@ -3,7 +3,6 @@ table, JSON, files and pictures."""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar, cast
 
 from eqsim.errors import InputError
@@ -26,12 +25,12 @@ Exact = TypeVar("Exact")
 
 
 class How(NamedTuple):
-    """How blocks are simulated; `keep`: states of a stopped run, or a folder for them."""
+    """How blocks are simulated; `keep`: states of a stopped run."""
 
     threads: int
     max_lives: float
     progress: Progress
-    keep: Path | States | None
+    keep: States | None
 
 
 class Solved(NamedTuple, Generic[Exact]):

@@ -24,7 +24,7 @@ from eqsim.engine.trajectory import check_run, trajectory
 from eqsim.errors import InputError
 from eqsim.estimate import Estimate, known
 from eqsim.io.runfile import RunFile, opened
-from eqsim.io.states import States
+from eqsim.io.states import States, kept
 from eqsim.io.units import Row
 from eqsim.lazy import lazily
 from eqsim.master.avalanche_sizes import load_of, size_law
@@ -553,12 +553,13 @@ def run(
         if workers:
             said = "coupled blocks are simulated in one process; threads share replicas"
             raise InputError(f"--workers, --dask: {said}")
-        how = How(threads, max_lives, progress, keep)
-        if chain:
-            from eqsim.workflows.chain import run_chain
+        with kept(file, keep) as states:
+            how = How(threads, max_lives, progress, states)
+            if chain:
+                from eqsim.workflows.chain import run_chain
 
-            return run_chain(file, how)
-        return run_elastic(file, how)
+                return run_chain(file, how)
+            return run_elastic(file, how)
     draws: dict[str, Any] = {"seed": output.seed, "replicas": output.replicas}
     rough = 5e-3 if ensemble.fluctuates else 1e-3  # lives with paths cost more
     with ExitStack() as stack:
