@@ -1,9 +1,9 @@
 """States of runs that may be stopped, on disk beside where their results will be."""
 
+import hashlib
 import io
 import shutil
 import time
-import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,8 +16,7 @@ from eqsim.io.runfile import RunFile, contents_of
 from eqsim.numerics.tables import Array
 
 _EVERY = 30.0  # seconds between two states of a replica
-# What numpy and zipfile raise for a file that is absent, empty or damaged.
-_DAMAGED = (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile)
+_DIGEST = hashlib.sha256().digest_size  # bytes before the arrays of a state
 
 
 class States:
@@ -34,19 +33,24 @@ class States:
 
     def load(self, replica: int) -> dict[str, Array] | None:
         """The state that was saved; None if there is none, or if it is damaged."""
-        try:
-            with np.load(self._path(replica)) as saved:
-                return dict(saved)
-        except _DAMAGED:
+        content = b""
+        with suppress(OSError):
+            content = self._path(replica).read_bytes()
+        digest, arrays = content[:_DIGEST], content[_DIGEST:]
+        if digest != hashlib.sha256(arrays).digest():
             return None
+        with np.load(io.BytesIO(arrays)) as saved:
+            return dict(saved)
 
     def save(self, replica: int, state: dict[str, Array]) -> None:
         """Save a state. One that cannot be written, as on a full disk, does not end the
         run: the next one is tried as usual."""
-        content = io.BytesIO()
-        np.savez(content, allow_pickle=False, **state)
+        written = io.BytesIO()
+        np.savez(written, allow_pickle=False, **state)
+        arrays = written.getvalue()
         with suppress(InputError):
-            storage.save(self._path(replica), content.getvalue())
+            content = hashlib.sha256(arrays).digest() + arrays
+            storage.save(self._path(replica), content)
         self.saved[replica] = time.perf_counter()
 
     def remove(self) -> None:
@@ -54,7 +58,7 @@ class States:
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _path(self, replica: int) -> Path:
-        return self.folder / f"{replica}.npz"
+        return self.folder / f"{replica}.state"
 
 
 @contextmanager
