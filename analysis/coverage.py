@@ -13,6 +13,7 @@ Talts et al., arXiv:1804.06788).
 
 import argparse
 import math
+import sys
 import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
@@ -317,7 +318,10 @@ def _said(covered: dict[str, float], sets: int) -> str:
 
 
 def _calibration(sets: int, seed: int) -> None:
-    every = list(below(prior_problem(), sets, seed))
+    every = []
+    for shares in below(prior_problem(), sets, seed):
+        every.append(shares)
+        print(f"{len(every)} of {sets} data sets", file=sys.stderr)
     print(
         f"share of {sets} truths of the prior that intervals of the posterior contain, "
         f"and a test that ranks are uniform"
