@@ -196,8 +196,9 @@ def extreme(
     # on a plateau the place may be anywhere
     cells = float(x[min(top + 1, n - 1)] - x[max(top - 1, 0)])
     spread = max(0.5 * float(np.ptp(same)), 0.5 * cells)
-    if right - left >= 4 and 0 < top < n - 1:
-        half, plateau = 0.5 * (x[right] - x[left]), slice(left, right + 1)
+    half, plateau = 0.5 * (x[right] - x[left]), slice(left, right + 1)
+    apart = np.count_nonzero(np.diff(x[plateau]) > 1e-9 * half)  # not where x stalls
+    if apart >= 4 and 0 < top < n - 1:
         a, b, c = np.polyfit((x[plateau] - place) / half, force[plateau], 2)
         vertex = -0.5 * b / a if a else np.inf
         within = x[left] <= place + vertex * half <= x[right]

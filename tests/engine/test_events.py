@@ -574,6 +574,19 @@ def test_what_cannot_go_on_ends():
         assert time.monotonic() - begin < ALLOWED
 
 
+@pytest.mark.parametrize("count", [1, 100])
+@pytest.mark.parametrize("stage", [None, Stage(1.0)])
+def test_a_motor_that_friction_stops_stands_still(count, stage):
+    """Its force is that of the stall, where X no longer changes in any bit."""
+    contacts = Ensemble(count=count, stiffness_law="uniform")
+    segments = [Segment(1.0, time=60.0), Segment(0.5, time=60.0)]
+    drive = Programme(segments, stage=stage, stall_force=0.1)
+    run = trajectory(contacts, drive, points=121, replicas=8)
+    for segment in run.segments:
+        for shown in (segment.peak, segment.end):
+            assert abs(shown.value - 0.1) < 4.5 * shown.stderr + 1e-9
+
+
 def test_more_lives_than_allowed_are_refused():
     fast = replace(CLUTCHES, delay=Delay(0.0))
     drive = Programme([Segment(force=1.0, time=100.0)])
