@@ -35,7 +35,7 @@ StateLaw = Literal["slip", "aging"]
 # 1e-10 of a and b in tests.
 _TOLERANCE = 1e-10
 # LSODA's steps between two times at most.
-_MOST_STEPS = 50_000
+_MOST_STEPS = 1_000_000
 # What `odeint` says of a solution that is complete.
 _SOLVED = "Integration successful."
 # ln(V/V_0) from which on V no longer counts: it would overflow.
@@ -116,7 +116,8 @@ class RateAndState:
         InputError
             If the programme begins without a velocity, goes back, is under a force or
             a normal load that changes, or has a motor or blocks, `times` are not within
-            it, or the slider slips without end.
+            it, or too far apart for the stick-slip between them, or the slider slips
+            without end.
 
         Examples
         --------
@@ -132,30 +133,32 @@ class RateAndState:
         ends = programme.corners[0][1:]
         upto = np.searchsorted(t, ends, "right")
         upto[-1] = t.size
-        state, courses, begin, done = np.zeros(2), [], 0.0, 0
+        state, courses, begin, done = np.zeros(2), [np.empty((0, 2))], 0.0, 0
         for segment, end, last in zip(programme.segments, ends, upto, strict=True):
+            if done == t.size:
+                break
             there = np.clip(t[done:last] - begin, 0.0, segment.duration)
-            grid = np.concatenate(([0.0], there, [segment.duration]))
+            stop = segment.duration if last < t.size else there[-1]
+            grid = np.concatenate(([0.0], there, [stop]))
             course = self._course(state, grid, first, segment.velocity)
             courses.append(course[1:-1])
             state, begin, done = course[-1], end, last
         log_v, log_theta = np.concatenate(courses).T
         drag = self.damping * first * np.expm1(log_v)
-        force = self.mu_0 + self.a * log_v + self.b * log_theta + drag
-        if not np.isfinite(force).all():
-            said = "the slider slips without end; damping would end it"
-            raise InputError(f"stiffness = {self.stiffness:g}: {said}")
-        return force
+        return self.mu_0 + self.a * log_v + self.b * log_theta + drag
 
     def _course(self, state: Array, t: Array, first: float, load: float) -> Array:
         """ln(V/V_0) and ln(V_0 theta/D_c), shape (times, 2), from a `state` of these on,
-        while the load point moves at a velocity `load`; V_0 is `first`. NaN once V is
-        beyond all bounds."""
+        while the load point moves at a velocity `load`; V_0 is `first`. Raises
+        InputError once V is beyond all bounds, or for too many steps."""
         a, b, k, drag = self.a, self.b, self.stiffness * first, self.damping * first
         rate, pull, aging = first / self.D_c, load / first, self.law == "aging"
+        fastest = 0.0
 
         def slopes(state: Array, _: float) -> tuple[float, float]:
+            nonlocal fastest
             log_v, log_theta = state.tolist()
+            fastest = max(fastest, log_v)
             if not log_v < _FASTEST:
                 return math.nan, math.nan
             v = math.exp(log_v)
@@ -164,10 +167,16 @@ class RateAndState:
             return (k * (pull - v) - b * growth) / (a + drag * v), growth
 
         given = {"rtol": _TOLERANCE, "atol": _TOLERANCE, "mxstep": _MOST_STEPS}
-        with warnings.catch_warnings():  # of too many steps: those have no answer
+        with warnings.catch_warnings():  # of too many steps
             warnings.simplefilter("ignore", ODEintWarning)
             course, how = odeint(slopes, state, t, full_output=True, **given)
-        return course if how["message"] == _SOLVED else np.full_like(course, np.nan)
+        if how["message"] == _SOLVED and np.isfinite(course).all():
+            return course
+        if fastest < _FASTEST:
+            said = f"stick-slip takes more than {_MOST_STEPS} steps between two of them"
+            raise InputError(f"times: {said}; give more of them")
+        said = "the slider slips without end; damping would end it"
+        raise InputError(f"stiffness = {self.stiffness:g}: {said}")
 
 
 def require_programme(programme: Programme, times: Array) -> None:

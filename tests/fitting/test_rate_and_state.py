@@ -145,6 +145,27 @@ def test_segments_may_be_split():
     np.testing.assert_allclose(*curves, rtol=0, atol=1e-9)  # as for Radau
 
 
+def test_what_comes_later_does_not_count(monkeypatch):
+    """Friction before stick-slip that would take too many steps, which is refused where
+    it is asked for; and with fewer times it is the same, to what a cycle amplifies."""
+    law = RateAndState(0.005, 0.015, 10.0, 0.0005, "aging", 0.6, damping=1e-3)
+    step = Segment(1.2, time=2000.0)
+    long, late = Programme([step, Segment(1.3, time=1e9)], velocity=1.0), 2000.0
+    fine = law.friction(long, np.linspace(0.0, late, 1001))
+    np.testing.assert_allclose(
+        law.friction(long, [0.0, 20.0, late]), fine[[0, 10, -1]], rtol=0, atol=1e-7
+    )
+    assert np.ptp(fine) > 0.02  # it does slip
+    monkeypatch.setattr("eqsim.rate_and_state._MOST_STEPS", 1000)
+    np.testing.assert_allclose(
+        law.friction(long, np.linspace(0.0, late, 1001)), fine, rtol=0, atol=1e-12
+    )
+    with pytest.raises(
+        InputError, match="times: stick-slip takes more than 1000 steps"
+    ):
+        law.friction(long, [late])
+
+
 def written(folder, seed, law="slip", **changes):
     """The run file of a synthetic record: 81 points with errors of 3e-4, and a trend of
     1e-6 per length."""
