@@ -106,13 +106,18 @@ def require_number(
     above: float | None = None,
     least: float | None = None,
     most: float = math.inf,
+    infinite: bool = False,
 ) -> None:
     """Raise InputError unless `value` is a finite real number greater than `above`, not
-    less than `least` and not more than `most`."""
+    less than `least` and not more than `most`, or infinity, if it may be `infinite`."""
     try:  # an array of one number passes for a float, but cannot be hashed
-        ok = type(value).__hash__ is not None and math.isfinite(value)
-        ok = ok and (above is None or value > above)
-        ok = ok and (least is None or value >= least) and value <= most
+        ok = type(value).__hash__ is not None
+        if ok and infinite and value == math.inf:
+            return
+        ok = ok and math.isfinite(value)
+        number = float(value) if ok else 0.0  # limits may overflow in single precision
+        ok = ok and (above is None or number > above)
+        ok = ok and (least is None or number >= least) and number <= most
     except (TypeError, OverflowError):
         ok = False
     if not ok:

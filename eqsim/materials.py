@@ -97,7 +97,7 @@ class ArrheniusRate(_Arrhenius):
 
 
 @dataclass(frozen=True)
-class ActivatedAging:
+class ActivatedAging(Checked):
     """Aging of pinned contacts at a thermally activated rate; the material's own x_* is
     that of newborn contacts.
 
@@ -116,6 +116,7 @@ class ActivatedAging:
     rule: str = "langevin"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self.at(0.0)
 
     def at(self, temperature: float) -> Aging:
@@ -124,7 +125,7 @@ class ActivatedAging:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Material:
+class Material(Checked):
     """An interface; what those of this module share.
 
     Every method raises InputError for a temperature (K) that is not a number >= 0.
@@ -165,6 +166,7 @@ class Material:
     aging: ActivatedAging | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             required = value is not None or field.default is not None

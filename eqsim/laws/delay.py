@@ -165,7 +165,7 @@ class _Drawn:
         return np.asarray(1.0 - self.above(np.maximum(t, 0.0) / self.mean))
 
     def residual_cdf(self, t: Any) -> Array:
-        return self.begun(np.maximum(t, 0.0) / self.mean)
+        return self.begun(np.clip(np.asarray(t) / self.mean, 0.0, _ENDLESS))
 
     def rest(self, x: Array) -> Array:
         return self.mean * (1.0 - self.begun(x / self.mean))
@@ -325,8 +325,7 @@ class Delay:
     reference_velocity: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.time != math.inf:
-            require_number("time", self.time, **NOT_NEGATIVE)
+        require_number("time", self.time, **NOT_NEGATIVE, infinite=True)
         require_choice("law", self.law, tuple(DELAYS))
         require_number("activation", self.activation, **NOT_NEGATIVE)
         require_number("velocity_exponent", self.velocity_exponent, least=-10, most=10)
@@ -369,12 +368,13 @@ class Delay:
         return DELAYS[self.law](velocity * self.time / unit, *self.parameters)
 
     def cdf(self, t: Any) -> Array:
-        """P(delay <= t), t a time."""
+        """P(delay <= t), t a time, of a delay that depends on neither temperature nor
+        velocity (see `at`)."""
         return self.reduced().cdf(t)
 
     def residual_cdf(self, t: Any) -> Array:
         """P(rest of the delay <= t) of a contact found detached in the stationary state
-        (derived, renewal theory)."""
+        (derived, renewal theory); else as `cdf`."""
         return self.reduced().residual_cdf(t)
 
 

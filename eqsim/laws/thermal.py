@@ -1,6 +1,5 @@
 """Temperature, attempt frequency and barrier of thermally activated breaking."""
 
-import math
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -114,5 +113,4 @@ class Thermal:
 def _check_bond(name: str, rate: float, of: str, force: float) -> None:
     """Raise InputError unless a rate and a scale of force are in range."""
     require_number(name, rate, **NOT_NEGATIVE)
-    if force != math.inf:
-        require_number(of, force, **POSITIVE)
+    require_number(of, force, **POSITIVE, infinite=True)

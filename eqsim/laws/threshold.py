@@ -323,6 +323,12 @@ class Table(Discrete):
         steps.flags.writeable = False
         self.steps = steps
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Table) and np.array_equal(self.steps, other.steps)
+
+    def __hash__(self) -> int:
+        return hash((self.steps.size, self.steps[0], self.steps[-1]))
+
     def __repr__(self) -> str:
         span = f"{self.steps[0]:g} to {self.steps[-1]:g}"
         return f"Table({self.steps.size} thresholds from {span})"
@@ -511,13 +517,16 @@ class Distribution(Smooth):
         require_number("threshold distribution: <xi^3>", third, above=0)
         self.scale, self.rms = self.mean, math.sqrt(second)
         if breakpoints is None:
-            binned = isinstance(frozen, stats.rv_histogram)
+            law = getattr(frozen, "dist", frozen)
+            binned = isinstance(law, stats.rv_histogram)
             breakpoints = _bins(frozen) if binned else NO_STEPS
         try:
-            self.breakpoints = np.asarray(breakpoints, float)
+            self.breakpoints = np.unique(np.asarray(breakpoints, float))
         except (TypeError, ValueError):
-            said = "must be numbers"
-            raise InputError(f"breakpoints = {shown(breakpoints)}: {said}") from None
+            self.breakpoints = np.full(1, np.nan)
+        if not np.all(np.isfinite(self.breakpoints)):
+            said = "must be finite numbers"
+            raise InputError(f"breakpoints = {shown(breakpoints)}: {said}")
 
     def _third_diverges(self) -> bool:
         """True if <xi^3> diverges, as far as SciPy knows the tail: an isf that fails is

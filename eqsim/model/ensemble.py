@@ -145,9 +145,14 @@ class Ensemble(Checked):
     populations: Sequence[Population] = ()
 
     def __post_init__(self) -> None:
-        if not hasattr(self.thresholds, "declared"):
+        law, kinds = self.thresholds, self.populations
+        if isinstance(law, type) or not hasattr(law, "declared"):
             said = "must be a law of thresholds, such as Gamma(1.0)"
-            raise InputError(f"thresholds = {shown(self.thresholds)}: {said}")
+            raise InputError(f"thresholds = {shown(law)}: {said}")
+        listed = isinstance(kinds, Sequence)
+        if not listed or not all(isinstance(kind, Population) for kind in kinds):
+            said = "must be a sequence of Population(...)"
+            raise InputError(f"populations = {shown(kinds)}: {said}")
         super().__post_init__()
         if isinstance(self.thresholds, NoThresholds):
             self._make_unlimited(self.thresholds)
@@ -289,11 +294,13 @@ class Ensemble(Checked):
     def b(self) -> float:
         """k x_*^2/(2 kT), eq. (21) of Braun and Peyrard (2011), with the scale x_* of
         the threshold law. Infinite at kT = 0. Of bonds whose rate depends on the force
-        alone, k x_* over the scale of force."""
+        alone, k x_* over the scale of force. Raises InputError for several kinds."""
         return self._barrier_numbers[0]
 
     @property
     def _barrier_numbers(self) -> tuple[float, ...]:
+        if self.populations:
+            raise InputError("population: these are numbers of one kind; see kinds")
         law, unit = BARRIERS[self.thermal.barrier], self.thresholds.scale
         return law.numbers(self.thermal, self.stiffness, unit)
 
@@ -309,7 +316,8 @@ class Ensemble(Checked):
     def crossover_velocity(self) -> float:
         """v_* (length/time) of the annealed ensemble of newborn thresholds, where
         Delta U(inf) = 1: eq. (26) of Braun and Peyrard (2011) with S_0 = 1, for every
-        law (derived). 0 at kT = 0, infinite without thresholds."""
+        law (derived). 0 at kT = 0, infinite without thresholds. Raises InputError for
+        several kinds."""
         b, rate = self._barrier_numbers[:2]
         if math.isinf(b) or rate == 0:
             return 0.0

@@ -1,5 +1,7 @@
 """Delays and stiffnesses: NumPy side, kernel side, and bad input."""
 
+import math
+
 import numpy as np
 import pytest
 import scipy.stats
@@ -74,6 +76,7 @@ def test_residual_is_the_integrated_tail(law):
             tail / MEAN, rel=1e-9, abs=0
         )
     np.testing.assert_array_equal(delay.residual_cdf(np.array([-1.0, 0.0])), 0.0)
+    assert float(delay.residual_cdf(math.inf)) == 1.0
 
 
 def ks(sample, cdf):

@@ -3,6 +3,7 @@ draws, and bad input."""
 
 import functools
 import math
+import pickle
 import warnings
 from contextlib import suppress
 
@@ -425,12 +426,29 @@ def test_bins_of_a_histogram_are_found(bins, place):
     bins = edges.size - 1
     counts = rng.permutation(np.arange(bins) % 7 + 1.0)
     counts[1:][counts[1:] == counts[:-1]] = 0.0  # two of them in a row are one, too
-    law = Distribution(scipy.stats.rv_histogram((counts, edges), density=False))
+    histogram = scipy.stats.rv_histogram((counts, edges), density=False)
+    law = Distribution(histogram)
     jumps = np.append(
         True,
         np.append(np.diff(law.frozen.pdf(0.5 * (edges[1:] + edges[:-1]))) != 0.0, True),
     )
     np.testing.assert_array_equal(law.breakpoints, edges[jumps])
+    np.testing.assert_array_equal(Distribution(histogram()).breakpoints, edges[jumps])
+
+
+def test_breakpoints_may_be_one_number_or_in_any_order():
+    law = scipy.stats.gamma(3.0)
+    assert Distribution(law, 0.5).breakpoints.tolist() == [0.5]
+    assert Distribution(law, [[2.0, 1.0]]).breakpoints.tolist() == [1.0, 2.0]
+
+
+def test_tables_of_the_same_thresholds_are_equal():
+    law = Table([1.0, 3.0, 2.0])
+    again = pickle.loads(pickle.dumps(Ensemble(law)))
+    assert again == Ensemble(Table([3.0, 2.0, 1.0]))
+    assert hash(again) == hash(Ensemble(law))
+    assert law != Table([1.0, 2.5, 3.0])
+    assert law != Table([1.0, 2.0, 2.0, 3.0])
 
 
 def test_histogram_law_can_be_printed():

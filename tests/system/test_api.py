@@ -2,10 +2,12 @@
 
 import inspect
 import json
+import math
 import pickle
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 
@@ -16,11 +18,15 @@ from typer.testing import CliRunner
 
 import eqsim
 from eqsim import (
+    Aging,
+    Delay,
     Distribution,
     Drive,
     Ensemble,
+    Gamma,
     InputError,
     Interface,
+    Population,
     Programme,
     Segment,
     Stage,
@@ -30,8 +36,11 @@ from eqsim import (
     steady,
 )
 from eqsim.cli.app import app
+from eqsim.materials import STEEL, ActivatedAging
 
 ROOT = Path(__file__).parents[2]
+TWO = np.array([1.0, 2.0])
+SEVERAL = Ensemble(thermal=Thermal(0.1), populations=[Population(0.5, stiffness=2.0)])
 USER = """\
 import eqsim
 from eqsim import Drive, Ensemble, Thermal, reference, steady
@@ -133,7 +142,35 @@ def test_public_names():
         (lambda: Units(5), "length = 5: must be a unit"),
         (
             lambda: Distribution(gamma(3.0), ["a"]),
-            "breakpoints = ['a']: must be numbers",
+            "breakpoints = ['a']: must be finite numbers",
+        ),
+        (
+            lambda: Distribution(gamma(3.0), [[1.0], [math.nan]]),
+            "breakpoints = [[1.0], [nan]]: must be finite numbers",
+        ),
+        (lambda: Ensemble(Gamma), "Gamma'>: must be a law of thresholds"),
+        *(
+            (
+                lambda kinds=kinds: Ensemble(populations=kinds),
+                "must be a sequence of Po",
+            )
+            for kinds in ((1, 2), [Population(0.5), None], "ab", Population(1.0), None)
+        ),
+        (lambda: SEVERAL.b, "population: these are numbers of one kind"),
+        (lambda: SEVERAL.crossover_velocity, "population: these are numbers of one"),
+        (lambda: Delay(TWO), "time = array([1., 2.]): must be a finite number"),
+        (lambda: Aging("flow", TWO), "rate = array([1., 2.]): must be a finite"),
+        (
+            lambda: Thermal(barrier="bell", off_rate=1.0, force_scale=TWO),
+            "force_scale = array([1., 2.]): must be a finite number",
+        ),
+        (
+            lambda: replace(STEEL, delay=1e-3),
+            "delay = 0.001: must be ArrheniusTime(...)",
+        ),
+        (
+            lambda: ActivatedAging(1e-18, 1e-9),
+            "rate = 1e-18: must be ArrheniusRate(...)",
         ),
         (lambda: Programme([0.1]), "programme: holds 0.1; must be Segment("),
         (lambda: steady(0.1), "ensemble = 0.1: must be an Ensemble, a run file, or"),

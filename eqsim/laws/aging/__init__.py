@@ -73,8 +73,7 @@ class Aging:
 
     def __post_init__(self) -> None:
         require_choice("rule", self.rule, ("none", *RULES))
-        if self.rate != math.inf:
-            require_number("rate", self.rate, **NOT_NEGATIVE)
+        require_number("rate", self.rate, **NOT_NEGATIVE, infinite=True)
         require_number("x_star_final", self.x_star_final, **POSITIVE)
         if self.beta is not None:
             require_number("beta", self.beta, least=0.0, most=_MOST_BETA)
