@@ -106,15 +106,11 @@ def require_number(
     above: float | None = None,
     least: float | None = None,
     most: float = math.inf,
-    infinite: bool = False,
 ) -> None:
     """Raise InputError unless `value` is a finite real number greater than `above`, not
-    less than `least` and not more than `most`, or infinity, if it may be `infinite`."""
+    less than `least` and not more than `most`."""
     try:  # an array of one number passes for a float, but cannot be hashed
-        ok = type(value).__hash__ is not None
-        if ok and infinite and value == math.inf:
-            return
-        ok = ok and math.isfinite(value)
+        ok = type(value).__hash__ is not None and math.isfinite(value)
         number = float(value) if ok else 0.0  # limits may overflow in single precision
         ok = ok and (above is None or number > above)
         ok = ok and (least is None or number >= least) and number <= most
@@ -123,6 +119,13 @@ def require_number(
     if not ok:
         allowed = f"a finite number {Limits(least, most, above)!r}".rstrip()
         raise InputError(f"{field} = {shown(value)}: must be {allowed}")
+
+
+def require_number_or_infinity(field: str, value: float, **limits: float) -> None:
+    """Raise InputError unless `value` is infinity, or within `limits` as for
+    `require_number`."""
+    if type(value).__hash__ is None or value != math.inf:
+        require_number(field, value, **limits)
 
 
 def require_integer(field: str, value: int, least: int, most: int) -> None:

@@ -20,6 +20,7 @@ from eqsim.errors import (
     InputError,
     require_choice,
     require_number,
+    require_number_or_infinity,
 )
 from eqsim.laws.law import Law
 from eqsim.numerics.compiled import by_law, routine
@@ -325,7 +326,7 @@ class Delay:
     reference_velocity: float = 1.0
 
     def __post_init__(self) -> None:
-        require_number("time", self.time, **NOT_NEGATIVE, infinite=True)
+        require_number_or_infinity("time", self.time, **NOT_NEGATIVE)
         require_choice("law", self.law, tuple(DELAYS))
         require_number("activation", self.activation, **NOT_NEGATIVE)
         require_number("velocity_exponent", self.velocity_exponent, least=-10, most=10)

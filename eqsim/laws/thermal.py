@@ -9,6 +9,7 @@ from eqsim.errors import (
     InputError,
     require_choice,
     require_number,
+    require_number_or_infinity,
     shown,
     under,
 )
@@ -113,4 +114,4 @@ class Thermal:
 def _check_bond(name: str, rate: float, of: str, force: float) -> None:
     """Raise InputError unless a rate and a scale of force are in range."""
     require_number(name, rate, **NOT_NEGATIVE)
-    require_number(of, force, **POSITIVE, infinite=True)
+    require_number_or_infinity(of, force, **POSITIVE)

@@ -10,6 +10,7 @@ from eqsim.errors import (
     InputError,
     require_choice,
     require_number,
+    require_number_or_infinity,
 )
 from eqsim.laws.aging.base import AgingLaw, Unaged
 from eqsim.laws.aging.flow import Flow
@@ -73,7 +74,7 @@ class Aging:
 
     def __post_init__(self) -> None:
         require_choice("rule", self.rule, ("none", *RULES))
-        require_number("rate", self.rate, **NOT_NEGATIVE, infinite=True)
+        require_number_or_infinity("rate", self.rate, **NOT_NEGATIVE)
         require_number("x_star_final", self.x_star_final, **POSITIVE)
         if self.beta is not None:
             require_number("beta", self.beta, least=0.0, most=_MOST_BETA)
