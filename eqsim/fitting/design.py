@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,11 @@ from eqsim.fitting.data import MeasuredAt
 from eqsim.fitting.estimate import covariance
 from eqsim.fitting.fit import Prepared, prepare
 from eqsim.fitting.model import Problem, velocity_of
-from eqsim.io.runfile import RunFile
+from eqsim.fitting.section import section_of
+from eqsim.io import storage
+from eqsim.io.content import alternative, of_population
+from eqsim.io.parameters import parameters
+from eqsim.io.runfile import RunFile, stored
 from eqsim.numerics.tables import Array
 
 # Candidates between the limits.
@@ -107,27 +111,61 @@ def design(
         kelvin = float(T[best]) if prepared.fit.temperature is not None else None
         steps.append(NextMeasurement(float(v[best]), kelvin, after[best]))
     name = problem.parameters[index].variable_name
-    at = {one: file[one] for one in prepared.table.names if one != "drive.velocity"}
+    columns = [one for one in prepared.table.names if one != "drive.velocity"]
+    at = {one: file[one] for one in columns if file[one] is not None}
     return Design(key, name, now, repeated, steps, at)
 
 
 def _best(fitted: Path, prepared: Prepared) -> Array:
     """The parameters of a fit in a folder. Raises InputError unless it is one of these
-    data and keys."""
+    data, keys and model."""
+    from pyarrow import parquet as pq
+
     try:
         summary = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
         digest, known = summary["data_sha256"], summary["parameters"].items()
         values = {key: float(one["estimate"]) for key, one in known}
+        origin = storage.origin_of(pq.read_schema(fitted / "fitted.parquet"))
+        settings, folder = origin["settings"], Path(origin["folder"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"--fit {fitted}: holds no fit.json of `eqsim fit`") from None
+        said = "holds no fit.json and fitted.parquet of `eqsim fit`"
+        raise InputError(f"--fit {fitted}: {said}") from None
     if digest != prepared.table.sha256:
         raise InputError(f"--fit {fitted}: is a fit of other data than fit.data")
     problem = prepared.problem
     if values.keys() != set(problem.keys):
         keys = ", ".join(values)
         raise InputError(f"--fit {fitted}: has other free keys than the file: {keys}")
+    made = stored(settings, folder if folder.is_dir() else prepared.file.folder)
+    _require_model(fitted, _model(made), prepared)
     u = [one.variable(values[one.key]) for one in problem.parameters]
     return np.clip(u, problem.low, problem.high)
+
+
+def _require_model(fitted: Path, then: dict[str, Any], prepared: Prepared) -> None:
+    """Raise InputError unless a fit was made with these settings, but for keys that are
+    free or columns of the data."""
+    now, varied = _model(prepared.file), {*prepared.problem.keys, *prepared.table.names}
+    varied |= {other for other in map(alternative, varied) if other}
+    for key in now | then:
+        inherited = of_population(key)[1]
+        if then.get(key) == now.get(key) or not varied.isdisjoint((key, inherited)):
+            continue
+        texts = (json.dumps(one[key]) if key in one else "none" for one in (then, now))
+        said = f"was made with {key} = {', not '.join(texts)}"
+        raise InputError(f"--fit {fitted}: {said}")
+
+
+def _model(file: RunFile) -> dict[str, Any]:
+    """Settings by key on which steady averages in the unit of the data depend."""
+    found, section = parameters(file), section_of(file)
+    for key, value in found.items():
+        if key.endswith("thresholds.file") and value:
+            found[key] = str((file.folder / value).resolve())
+    found["fit.reference_temperature"] = section.reference_temperature
+    found["fit.scale"] = section.scale if isinstance(section.scale, float) else None
+    known = {key: value for key, value in found.items() if value is not None}
+    return {k: x for k, x in known.items() if not k.startswith(("drive.", "output."))}
 
 
 def _candidates(

@@ -3,6 +3,8 @@
 import hashlib
 import json
 import math
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from eqsim.fitting.estimate import minimise
 from eqsim.fitting.model import DERIVATIVE_STEP as STEP
 from eqsim.fitting.profiles import LEVELS
 from eqsim.fitting.section import section_of
+from eqsim.io import storage
 from eqsim.io.runfile import load
 
 RUNS = Path(__file__).parents[2] / "runs"
@@ -124,7 +127,14 @@ def folder(tmp_path):
         "data_sha256": digest,
     }
     (tmp_path / "fit.json").write_text(json.dumps(found))
+    fitted_with(tmp_path, file)
     return tmp_path
+
+
+def fitted_with(folder, file):
+    """Write the table of a fit, as far as its provenance."""
+    origin = storage.provenance("fit", file.settings, file.text, 1, file.folder)
+    (folder / "fitted.parquet").write_bytes(storage.parquet({"x": np.ones(1)}, origin))
 
 
 def call(folder, *args):
@@ -170,6 +180,85 @@ def test_where_the_next_measurement_is_made(folder):
     one = "--for", "thermal.kT", "--next", 1, "--set", "delay.time=2.0"
     assert "at delay.time = 2.0 of the run file" in call(folder, *one).output
     assert json.loads(call(folder, *one, "--json").output)["at"] == {"delay.time": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("contacts.stiffness_law=sqrt", 'contacts.stiffness_law = "uniform", not "sqrt"'),
+        ("disorder=quenched", 'disorder = "annealed", not "quenched"'),
+        ("thresholds.x_star=2.0", "thresholds.x_star = 1.0, not 2.0"),
+        ("fit.reference_temperature=200.0", "fit.reference_temperature = 300.0, not 200.0"),
+        ("thermal.kT=0.2", None),  # is free
+        ("drive.velocity=2.0", None),
+        ("output.seed=5", None),
+    ],
+)  # fmt: skip
+def test_a_fit_of_another_model_is_refused(folder, change, said):
+    done = call(folder, "--for", "thermal.kT", "--next", 1, "--set", change)
+    assert done.exit_code == (2 if said else 0), done.output
+    made = f"eqsim: --fit {folder}: was made with {said}\n"
+    assert done.stderr == (made if said else "")
+
+
+def test_files_of_thresholds_are_compared_wherever_the_run_file_is(folder):
+    """Run files in two folders name one file of thresholds by other words; a moved one
+    is compared by its words."""
+    (folder / "th.csv").write_text("0.5\n1.5\n")
+    shutil.copy(folder / "th.csv", folder / "other.csv")
+    text = RUN.replace("n = 1.0\n", 'law = "table"\nfile = "th.csv"\n')
+    text = text[: text.index('"thresholds.n"')]
+    below = text.replace('"th', '"../th').replace('"data', '"../data')
+    (folder / "below").mkdir()
+    (folder / "below" / "run.toml").write_text(below)
+    (folder / "run.toml").write_text(text)
+    found = json.loads((folder / "fit.json").read_text())
+    del found["parameters"]["thresholds.n"]
+    (folder / "fit.json").write_text(json.dumps(found))
+    made = load(folder / "below" / "run.toml")
+    moved = replace(load(folder / "run.toml"), folder=Path("/nowhere"))
+    for fit in (made, moved):
+        fitted_with(folder, fit)
+        one = call(folder, "--for", "thermal.kT", "--next", 1)
+        assert one.exit_code == 0, one.output
+        other = call(
+            folder, "--for", "thermal.kT", "--set", "thresholds.file=other.csv"
+        )
+        assert other.exit_code == 2
+        assert "was made with thresholds.file = " in other.stderr
+
+
+def test_populations_inherit_what_is_free(folder):
+    """Its start may differ from that of the fit in each of them; what is fixed may
+    not."""
+    kinds = "[[population]]\nshare = 0.5\n" * 2
+    (folder / "run.toml").write_text(RUN + kinds + "stiffness = 2.0\n")
+    fitted_with(folder, load(folder / "run.toml"))
+    changes = "--set", "thermal.kT=0.2", "--set", "population.1.stiffness=3.0"
+    refused = call(folder, "--for", "thermal.kT", *changes)
+    assert refused.stderr.endswith("population.1.stiffness = 2.0, not 3.0\n")
+
+
+def test_keys_without_a_value_are_not_where_measurements_are_made(folder):
+    """As the temperature of a run file that has kT."""
+    text = RUN.replace('temperature = "temperature"\n', "")
+    text = text.replace("reference_temperature = 300.0\n", "").replace(
+        '"thermal.kT" = { bounds = [1e-3, 20.0] }\n', ""
+    )
+    units = '[units]\nlength = "nm"\nforce = "pN"\ntime = "s"\n'
+    (folder / "run.toml").write_text(text + units)
+    data = (
+        (folder / "data.csv").read_text().replace("temperature", "thermal.temperature")
+    )
+    (folder / "data.csv").write_text(data)
+    digest = hashlib.sha256(data.encode()).hexdigest()
+    found = json.loads((folder / "fit.json").read_text()) | {"data_sha256": digest}
+    del found["parameters"]["thermal.kT"]
+    (folder / "fit.json").write_text(json.dumps(found))
+    fitted_with(folder, load(folder / "run.toml"))
+    done = call(folder, "--for", "thresholds.n", "--next", 1, "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["at"] == {}
 
 
 @pytest.mark.parametrize(
