@@ -88,8 +88,10 @@ def new(
         given = f"{value * _MICROMETRE / _MILLINEWTON:<13.6g}# mN/um"
     law = _GAMMA if thresholds is None else _law(thresholds, column, path.parent)
     text = _TEXT.format(title=_quoted(path.stem), stiffness=given, thresholds=law)
-    # a file that cannot be used is none
-    _ = runfile.check(tomllib.loads(text), path.parent).ensemble
+    data = tomllib.loads(text)
+    if thresholds is not None:  # the folder may not be there yet, to go up from
+        data["thresholds"]["file"] = str(thresholds)
+    _ = runfile.check(data).ensemble  # a file that cannot be used is none
     storage.publish(path.parent, {path.name: text.encode()}, str(path))
     shown.report({"file": str(path)}, notes=[f"{path}; next: eqsim run {path}"])
 

@@ -143,6 +143,7 @@ def typed(message: str) -> str:
     where it begins with one, says "more than" one or what one was, or gives one in
     brackets. Elsewhere such a name may be that of a column of a file."""
     options = "rel_error|max_lives|temperature|velocity|at|columns|trend"
+    options += "|starts|workers|data"
     names = rf"(\A|(?<=more than )|(?<=\())({options})(?= = )|(?<![\w.-])({options})(?= was )"
     return re.sub(names, lambda found: "--" + found[0].replace("_", "-"), message)
 

@@ -74,7 +74,8 @@ def read_table(path: Path, file: RunFile, fit: Fit) -> Measurements:
     with an optional _stderr, and `set`. An empty cell is the run file's value, or was
     not measured. Raises InputError with the column or line that cannot be used.
     """
-    sheet = csv.read(path, f"fit.data = {path}")
+    named = fit.data is not None and path == file.folder / fit.data
+    sheet = csv.read(path, f"{'fit.data' if named else 'data'} = {path}")
     names, observables = _checked_columns(sheet, file, fit)
     of_heat = [] if fit.temperature is None else [fit.temperature]
     measured, count = list[tuple[MeasuredAt, str, float, float]](), 0

@@ -59,7 +59,8 @@ def sweep_of(path: Path) -> Path | None:
     """The folder of the sweep that a Parquet file belongs to, if it does."""
     folder = path.absolute().parent
     inside = folder.name in (storage.SWEEP_PARTS, storage.SWEEP_HIDDEN)
-    for sweep in (folder.parent, folder) if inside else (folder,):
+    whole = path.name == storage.SWEEP_TABLE
+    for sweep in [folder.parent] * inside + [folder] * whole:
         if (sweep / storage.SWEEP_MANIFEST).exists():
             return sweep
     return None

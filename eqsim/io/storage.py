@@ -200,8 +200,15 @@ def left_over(folder: Path, command: str, written: dict[str, bytes]) -> list[str
     return found
 
 
-def check_folder(folder: Path) -> None:
-    """Raise InputError unless files can be written to `folder`, made by then or not."""
+def check_folder(folder: Path, sweep: bool = False) -> None:
+    """Raise InputError unless files can be written to `folder`, made by then or not.
+    Only those of its own `sweep` can be written to the folder of one."""
+    for place in (
+        *([] if sweep else [folder]),
+        *Path(os.path.realpath(folder)).parents,
+    ):
+        if os.path.exists(place / SWEEP_MANIFEST):
+            check_outside(place, folder, folder)
     parents = (folder, *folder.absolute().parents)
     present = next(filter(os.path.lexists, parents))
     if not present.is_dir():

@@ -132,7 +132,7 @@ class Store:
     """
 
     def __init__(self, out: Path, plan: Plan, asked: Asked) -> None:
-        storage.check_folder(out)
+        storage.check_folder(out, sweep=True)
         self.out, self.plan, file = out, plan, plan.file
         self.transient = asked.transient
         files = [path for path in out.glob("[!._]*") if path.name != SWEEP_PARTS]

@@ -46,6 +46,8 @@ distance = 10.0
 points = 51
 seed = 7
 """
+RUNS = Path(__file__).parents[2] / "runs"
+RECORD, TABLE = RUNS / "fit-basalt-step.toml", RUNS / "fit-synthetic.toml"
 EQSIM = [sys.executable, "-c", "from eqsim.__main__ import main; main()"]
 
 
@@ -386,6 +388,14 @@ def test_bad_input(run_file, args, message):
             ["rsf", "x.csv", "--velocity", "1", "--noise", "-1"],
             "--noise = -1.0: must be",
         ),
+        (["rsf", RECORD, "--starts", "0"], "--starts = 0: must be an integer"),
+        (["rsf", RECORD, "--workers", "0"], "--workers = 0: must be an integer"),
+        (["fit", TABLE, "--out", "x", "--data", "no.csv"], "--data = no.csv: cannot"),
+        (["fit", TABLE, "--out", "x", "--data", "."], "--data = .: is not a file"),
+        (
+            ["fit", TABLE, "--out", "x", "--set", "fit.data=no.csv"],
+            f"fit.data = {TABLE.with_name('no.csv')}: cannot",
+        ),
     ],
 )
 def test_options_are_named_as_they_are_typed(run_file, args, said):
@@ -449,14 +459,14 @@ def test_bad_new_run_files(given, said, tmp_path, monkeypatch):
     assert not Path("x.toml").exists()
 
 
-@pytest.mark.parametrize("name", ["mine.toml", "below/mine.toml", 'my "best" ü\\.toml'])
+@pytest.mark.parametrize("name", ["mine.toml", "below/it.toml", 'my "best" ü\\.toml'])
 @pytest.mark.parametrize("column", ["force (mN)", 'the "force"'])
 def test_new_run_files_of_any_name(name, column, tmp_path, monkeypatch):
-    """Names with quotes, and thresholds in another folder."""
+    """Names with quotes, and thresholds in another folder; one that is not there yet is
+    made."""
     monkeypatch.chdir(tmp_path)
     quoted = column.replace('"', '""')
     Path("s.csv").write_text(f'"{quoted}"\n0.8\n1.2\n')
-    Path("below").mkdir()
     done = call("new", name, "--thresholds", "s.csv", "--column", column)
     assert done.exit_code == 0, done.output
     file = load(name)
@@ -544,6 +554,31 @@ def test_unwritable_folder(run_file, tmp_path):
     result = call("run", run_file, "--out", folder)
     assert result.exit_code == 2
     assert "cannot be written" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["run", "RUN"],
+        ["reference", "RUN", "--transient"],
+        ["fluctuations", "RUN"],
+        ["stability", "RUN"],
+        ["fit", TABLE],
+        ["rsf", RECORD],
+        ["validate"],
+    ],
+    ids=lambda command: command[0],
+)
+def test_no_results_among_the_points_of_a_sweep(run_file, tmp_path, command):
+    """Nor below them: all files there are read as points."""
+    (tmp_path / "swept").mkdir()
+    (tmp_path / "swept" / "_sweep.json").touch()
+    given = [run_file if word == "RUN" else word for word in command]
+    for out in (tmp_path / "swept", tmp_path / "swept" / "a" / "b"):
+        done = call(*given, "--out", out)
+        assert (done.exit_code, done.stderr.count("\n")) == (2, 1), done.output
+        assert f"--out {out}: must be outside {tmp_path / 'swept'}" in done.stderr
+    assert tree(tmp_path / "swept") == ["_sweep.json"]
 
 
 @pytest.mark.long

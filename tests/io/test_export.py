@@ -145,6 +145,17 @@ def test_a_sweep(made, path):
     assert "where everything is read as points" in refused.stderr
 
 
+def test_a_table_that_lies_in_the_folder_of_a_sweep(made, tmp_path):
+    """It is exported itself, to another folder."""
+    folder = shutil.copytree(made / "swept", tmp_path / "swept")
+    table = shutil.copy(made / "out" / "a" / "trajectory.parquet", folder)
+    assert call("export", table, "--out", tmp_path / "x.csv").exit_code == 0
+    assert same(tmp_path / "x.csv", table)
+    refused = call("export", table)
+    assert (refused.exit_code, refused.stderr.count("\n")) == (2, 1)
+    assert "must be outside" in refused.stderr
+
+
 @pytest.mark.parametrize("parts", ["parts", "_parts"])
 def test_an_unfinished_sweep(made, tmp_path, parts):
     """While it is at work, and just before its table has its name: what is on disk is
