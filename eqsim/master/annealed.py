@@ -451,8 +451,7 @@ def successful_attempts(
     total, above = np.zeros(y.size), y if above is None else above
     for xi, share, kappa in zip(*different_steps(contacts), strict=True):
         on = above < xi
-        gap = np.maximum(xi - y[on], 0.0)
-        log_rate = barrier.log_attempt(gap, xi + y[on], xi, b * kappa)
+        log_rate = barrier.log_rate(np.minimum(y[on], xi), xi, b * kappa)
         total[on] += share * np.exp(log_w + log_rate)
     return total
 

@@ -169,8 +169,8 @@ def lives_of(contacts: Reduced, xi: Array, share: Array, panels: int) -> Lives:
             return np.zeros_like(x)
         born = xi.reshape(-1, *[1] * (x.ndim - 1))
         grown = born * aging.growth_at(age)
-        gap, a = np.maximum(grown - x, 0.0), barrier.b * stiffness_at(age, born)
-        log_rate = barrier.log_attempt(gap, grown + x, grown, a)
+        a = barrier.b * stiffness_at(age, born)
+        log_rate = barrier.log_rate(np.minimum(x, grown), grown, a)
         return np.asarray(np.exp(np.minimum(log_rate + barrier.log_w, 300.0)))
 
     levels = np.linspace(_NONE_BROKEN, _ALL_BROKEN, 2 * panels + 1)

@@ -77,6 +77,8 @@ _FALLEN = np.array([1.0, 3.0, 7.0, 14.0, 28.0, 60.0, 120.0, 250.0])
 _BELOW = 1e-13
 # The narrowest panel of thresholds.
 _NARROWEST_RANKS = 1e-5
+# ln of a hazard that no life outlives.
+_NO_LIFE = np.log([110.0])
 # -ln J_c of the strongest contact that is asked for.
 _STRONGEST = 510.0
 # Thresholds that are solved for at once, to bound memory.
@@ -276,8 +278,15 @@ def _mean_lives(
     `gap` (n,) is xi - |y| of identical births; of others it does not count, and means
     are over R(y)/J_c(|y|) for given births."""
     births, of_threshold = law_of_births(contacts), contacts.newborn.of == "threshold"
+    kappa, barrier = kappa_of(contacts, xi), contacts.barrier
+    scaled = contacts.annealed or of_threshold
+    if barrier.by_force and barrier.thermal and not scaled:
+        # none lives beyond: x would be lost in a threshold far out of reach
+        alone = barrier.stretch_at(_NO_LIFE, xi, barrier.b * kappa)[:, 0]
+        reach = np.minimum(xi, np.max(np.abs(births.range)) + alone)
+        xi, gap = reach, np.where(reach < xi, alone, gap)
     per = xi[:, None]
-    level = hazard.levels(xi, kappa_of(contacts, xi), 0.0 if fine else _LEVEL_SHIFT)
+    level = hazard.levels(xi, kappa, 0.0 if fine else _LEVEL_SHIFT)
     inside = [level, -level]
     if isinstance(births, DeltaBirths):
         # one of the two distances is known without cancellation
@@ -294,7 +303,8 @@ def _mean_lives(
     found, order = np.empty((3, xi.size)), _ORDER_FINE if fine else _ORDER_COARSE
     for start in range(0, xi.size, _THRESHOLDS_AT_ONCE):
         part = slice(start, start + _THRESHOLDS_AT_ONCE)
-        found[:, part] = _marched(contacts, hazard, xi[part], edges[part], order)
+        held = xi[part], kappa[part]
+        found[:, part] = _marched(contacts, hazard, held, edges[part], order)
     return found
 
 
@@ -310,14 +320,19 @@ def _steep_shares(contacts: Reduced) -> Array:
 
 
 def _marched(
-    contacts: Reduced, hazard: Hazard, xi: Array, edges: Array, order: int
+    contacts: Reduced,
+    hazard: Hazard,
+    held: tuple[Array, Array],
+    edges: Array,
+    order: int,
 ) -> Array:
-    """`_mean_lives` on panels with these `edges` in phi."""
-    births, rule = law_of_births(contacts), clenshaw_curtis(order)
+    """`_mean_lives` on panels with these `edges` in phi, of contacts `held`: how far
+    they are stretched at most, and their stiffness, both (n,)."""
+    births, rule, (xi, springs) = law_of_births(contacts), clenshaw_curtis(order), held
     row, column = np.nonzero(np.diff(edges, axis=1) > 1e-15 * edges[:, 1:])
     half = 0.5 * (edges[row, column + 1] - edges[row, column])[:, None]
     phi = edges[row, column][:, None] + half * (1.0 + rule.nodes)
-    size, kappa = xi[row, None], kappa_of(contacts, xi)[row, None]
+    size, kappa = xi[row, None], springs[row, None]
     above, below = 2.0 * size * np.sin(phi) ** 2, 2.0 * size * np.cos(phi) ** 2
     x = size * np.cos(2.0 * phi)
     pace = half * 2.0 * size * np.sin(2.0 * phi)  # dq, q = xi - x
@@ -419,9 +434,9 @@ def _squares_beyond(
         return 0.0, 0.0
     e = last - np.array([50.0, 25.0, 0.0])
     xi = np.asarray(law.inverse_survival(origin + e)) / law.scale
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # terms that vanish
         log_terms = np.log(_mean_lives(contacts, hazard, xi, gap_of(xi))[2]) - e
-    before, decay = -np.diff(log_terms) / 25.0
+        before, decay = -np.diff(log_terms) / 25.0
     if log_terms[-1] == -math.inf or not min(before, decay) > 1e-9:
         return 0.0, 0.0
     rest = math.exp(log_terms[-1]) / decay

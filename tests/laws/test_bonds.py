@@ -37,6 +37,7 @@ from eqsim import (
     Programme,
     Segment,
     Stage,
+    Table,
     Thermal,
     Uniform,
     Weibull,
@@ -776,3 +777,40 @@ def test_bonds_whose_off_rates_have_no_mean_are_described():
     names = [x.name for x in groups(Ensemble(Exponential(1.0), bell), Drive(0.1))]
     assert "v_*" not in names
     assert "b" in names
+
+
+@pytest.mark.parametrize("heat", [BELL, CATCH], ids=["bell", "catch-slip"])
+@pytest.mark.parametrize(
+    "more",
+    [
+        {},
+        {"aging": Aging("logarithmic", beta=0.3, cutoff_time=0.05)},
+        {"newborn": Newborn("normal", mean=0.1, std=0.1)},
+        {"newborn": Newborn("uniform", low=-0.5, high=0.2)},
+    ],
+    ids=["plain", "logarithmic", "normal", "uniform"],
+)
+def test_thresholds_out_of_reach_do_not_count(heat, more):
+    """Of a quarter of all contacts, at 1e3 and at 1e20, where a stretch is lost in the
+    threshold less the stretch: in the reference, and of the engine |z| < 4.5 (by chance
+    one of the 8 fails in 1 of 18 000 runs)."""
+    found = []
+    for top in (1e3, 1e20):
+        law = Table([1e-3, 1.0, 2.0, top])
+        contacts = Ensemble(law, heat, stiffness_law="uniform", **more)
+        found.append(reference(contacts, Drive(2e-2)).friction)
+    near, far = (one.value for one in found)
+    assert far == pytest.approx(near, rel=2e-10, abs=0)  # both quote less
+    assert max(one.stderr for one in found) < 1e-10 * abs(near)
+    simulated = steady(contacts, Drive(2e-2), rel_error=2e-3).friction
+    assert abs(z_score(simulated, far, found[1].stderr)) < 4.5
+
+
+def test_the_rate_of_a_bond_does_not_depend_on_its_threshold():
+    x, a = np.array([0.0, 1e-9, 0.3, 20.0]), 0.7
+    at = compiled(base.height)
+    for law in (Bell(0.7, 0.0), CatchSlip(0.7, 0.0, -0.1, -2.0, 1.0, 0.3)):
+        near, far = law.log_rate(x, 30.0, a), law.log_rate(x, 1e20, a)
+        np.testing.assert_array_equal(far, near)
+        for y, log_rate in zip(x, near, strict=True):
+            assert at(law, 1e20, y, a) == pytest.approx(-log_rate, rel=1e-14, abs=1e-15)

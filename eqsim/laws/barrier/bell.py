@@ -96,12 +96,22 @@ class Bell(Numbers, ByForce):
         return -np.minimum(0.5 * a * (total - gap), MOST)
 
     @classmethod
+    def log_rate(cls, x: Any, xi: Any, a: Any) -> Array:
+        """ln r without the gap, in which x is lost far below a threshold."""
+        return np.asarray(np.minimum(a * x, MOST) + 0.0 * xi)
+
+    @classmethod
     def log_hazard(cls, x: Any, xi: Any, a: Any) -> Array:
         with np.errstate(divide="ignore"):  # x = 0
             return np.log(x) + np.minimum(log_mean(a * x), MOST) + 0.0 * xi
 
     def stretch_at(self, levels: Array, xi: Array, a: Array) -> Array:
         return opened(a[:, None], levels - self.log_w)
+
+
+@base.height.register(Bell)
+def _height(law: Bell, xi: float, x: float, a: float) -> float:
+    return -min(a * x, MOST)
 
 
 @base.averaged.register(Bell)
