@@ -203,10 +203,8 @@ def left_over(folder: Path, command: str, written: dict[str, bytes]) -> list[str
 def check_folder(folder: Path, sweep: bool = False) -> None:
     """Raise InputError unless files can be written to `folder`, made by then or not.
     Only those of its own `sweep` can be written to the folder of one."""
-    for place in (
-        *([] if sweep else [folder]),
-        *Path(os.path.realpath(folder)).parents,
-    ):
+    above = Path(os.path.realpath(folder)).parents
+    for place in above if sweep else (folder, *above):
         if os.path.exists(place / SWEEP_MANIFEST):
             check_outside(place, folder, folder)
     parents = (folder, *folder.absolute().parents)
