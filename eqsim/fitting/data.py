@@ -67,15 +67,16 @@ class Measurements(NamedTuple):
         return list(dict.fromkeys(one.set for one, name in pairs if name in FORCES))
 
 
-def read_table(path: Path, file: RunFile, fit: Fit) -> Measurements:
+def read_table(
+    path: Path, file: RunFile, fit: Fit, field: str = "fit.data"
+) -> Measurements:
     """Read the measurements of a CSV file.
 
     Columns are float keys of the run file, the temperature column, observables, each
     with an optional _stderr, and `set`. An empty cell is the run file's value, or was
     not measured. Raises InputError with the column or line that cannot be used.
     """
-    named = fit.data is not None and path == file.folder / fit.data
-    sheet = csv.read(path, f"{'fit.data' if named else 'data'} = {path}")
+    sheet = csv.read(path, f"{field} = {path}")
     names, observables = _checked_columns(sheet, file, fit)
     of_heat = [] if fit.temperature is None else [fit.temperature]
     measured, count = list[tuple[MeasuredAt, str, float, float]](), 0

@@ -386,9 +386,10 @@ def measured(
     if data is None and name is None:
         raise InputError("fit.data: is required, the CSV file of measurements")
     path = data or path_of(field, file.folder, str(name))
+    field = field if data is None else "data"
     if section.record is not None:
-        return record.read_record(path, section, file, progress)
-    table = read_table(path, file, section)
+        return record.read_record(path, section, file, progress, field)
+    table = read_table(path, file, section, field)
     _check_rows(file, table)
     return table
 

@@ -87,6 +87,7 @@ def read_record(
     fit: Fit,
     file: RunFile | None = None,
     progress: Callable[[int, float], None] = lambda done, total: None,
+    field: str = "fit.record.file",
 ) -> Measurements:
     """Read the points of a record, a CSV file with columns of time (or displacement of
     the load point) and force (or shear stress, beside normal stress), and of standard
@@ -95,7 +96,7 @@ def read_record(
     record, noise = fit.record, fit.noise
     assert record is not None
     programme = None if file is None else programme_of(file)
-    sheet = read(path, f"fit.record.file = {path}", record.decimal)
+    sheet = read(path, f"{field} = {path}", record.decimal)
     for key in ("time", "displacement", "force", "normal", "stderr"):
         name = getattr(record, key)
         if name is not None and (key, record.displacement is None) != ("time", False):

@@ -391,6 +391,7 @@ def test_bad_input(run_file, args, message):
         (["rsf", RECORD, "--starts", "0"], "--starts = 0: must be an integer"),
         (["rsf", RECORD, "--workers", "0"], "--workers = 0: must be an integer"),
         (["fit", TABLE, "--out", "x", "--data", "no.csv"], "--data = no.csv: cannot"),
+        (["fit", RECORD, "--out", "x", "--data", "no.csv"], "--data = no.csv: cannot"),
         (["fit", TABLE, "--out", "x", "--data", "."], "--data = .: is not a file"),
         (
             ["fit", TABLE, "--out", "x", "--set", "fit.data=no.csv"],
