@@ -13,7 +13,7 @@ import pandas as pd
 import pyarrow
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LogNorm, Normalize
+from matplotlib.colors import LogNorm, Normalize, SymLogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from pyarrow import parquet as pq
@@ -438,19 +438,28 @@ def _looks(
     groups: dict[str, _Levels], units: Units
 ) -> tuple[Any, list[Line2D], ScalarMappable | None]:
     """A function that gives the look of a series by its levels in each of the `groups`,
-    the entries of the legend, and a colour bar."""
+    the entries of the legend, and a colour bar. Raises InputError if there are more
+    levels than markers for them."""
     if not groups:
         return lambda codes: ({"color": COLORS[0], **_POINT_LOOK}, "-"), [], None
     (name, first), *others = groups.items()
+    for other, levels in others:
+        if len(levels.texts) > len(MARKERS):
+            said = f"{len(levels.texts)} values ({levels}) for {len(MARKERS)} markers"
+            way = "choose with --where KEY=VALUE, or name it first, for colours"
+            raise InputError(f"--by {other}: {said}; {way}")
     count, bar = len(first.texts), None
     colors: list[Any] = [COLORS[i % len(COLORS)] for i in range(count)]
     if count > _MOST_SERIES:
         shades = np.linspace(0.0, 0.95, count)
         if _numeric(first.values) and np.isfinite(first.values).all():
-            low, high = float(first.values[0]), float(first.values[-1])
-            scale = LogNorm if low > 0 and high > _SPREAD * low else Normalize
-            bar = ScalarMappable(scale(low, high), "viridis")
-            shades = np.asarray(bar.norm(first.values.astype(float)))
+            values = first.values.astype(float)
+            low, least, high = values[0], values[int(values[0] == 0)], values[-1]
+            norm = Normalize(low, high)
+            if least > 0 and high > _SPREAD * least:
+                norm = LogNorm(low, high) if low else SymLogNorm(least, 1, low, high)
+            bar = ScalarMappable(norm, "viridis")
+            shades = np.asarray(norm(values))
         colors = list(matplotlib.colormaps["viridis"](shades))
 
     def look(codes: Any) -> tuple[dict[str, Any], Any]:

@@ -375,6 +375,44 @@ def test_many_series_have_a_colour_bar():
     assert len(figure.legends[0].get_texts()) == 51
 
 
+def test_a_colour_bar_from_zero_on_tells_decades_apart():
+    """Neighbours differ by a twentieth of the bar or more, as zero does from the next;
+    a linear bar (control, of values that are alike) has equal steps."""
+
+    def shades(kT):
+        table = pd.DataFrame({"drive.velocity": 1.0, "thermal.kT": kT, "friction": kT})
+        figure, _ = drawn(table, "drive.velocity", "friction", "thermal.kT")
+        colors = [
+            line.get_color() for line in figure.axes[0].lines if line.get_xdata().size
+        ]
+        bar = matplotlib.colormaps["viridis"](np.arange(256))
+        assert figure.axes[1].get_ylim()[0] == 0.0
+        return [np.abs(bar - color).sum(axis=1).argmin() for color in colors]
+
+    assert min(np.diff(shades([0.0, *np.geomspace(1e-5, 1.0, 11)]))) > 256 / 20
+    assert set(np.diff(shades(np.arange(11.0)))) <= {25, 26}
+
+
+def test_more_values_than_markers_are_refused():
+    """Two of them would look alike. As many as there are markers differ (control), and
+    named first they have a colour bar."""
+    delay = np.repeat(np.arange(13.0), 2)
+    kT = np.tile([0.0, 0.1], 13)
+    table = pd.DataFrame({"drive.velocity": 1.0, "delay.time": delay, "thermal.kT": kT})
+    table["friction"] = delay + kT
+    columns = "drive.velocity", "friction"
+    with pytest.raises(InputError) as error:
+        drawn(table, *columns, "thermal.kT", "delay.time")
+    assert str(error.value) == (
+        "--by delay.time: 13 values (0, 1, 2, 3, 4, 5, 6, 7, ...) for 12 markers; "
+        "choose with --where KEY=VALUE, or name it first, for colours"
+    )
+    assert len(drawn(table, *columns, "delay.time", "thermal.kT")[0].axes) == 2
+    figure, _ = drawn(table[:-2], *columns, "thermal.kT", "delay.time")
+    lines = [line for line in figure.axes[0].lines if line.get_xdata().size]
+    assert len({(line.get_color(), line.get_marker()) for line in lines}) == 24
+
+
 def test_flat_curves_have_plain_labels():
     """Friction that differs by rounding only: no offset such as 1e-13 + 1.596e-9 beside
     the axis."""
