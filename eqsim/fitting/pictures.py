@@ -1,8 +1,8 @@
 """Pictures of fits: data with the fitted curve and residuals, profiles, and the ladder
 of directions."""
 
-import textwrap
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -10,24 +10,24 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 from scipy.interpolate import PchipInterpolator
 
-from eqsim.catalogue import LENGTH
+from eqsim.catalogue import COLUMNS, LENGTH, TIME, Dimension
 from eqsim.errors import require_package
 from eqsim.fitting.data import MEASURED
 from eqsim.fitting.estimate import DEGENERATE, inverse_root
 from eqsim.fitting.model import AVERAGES, Problem, SteadyForward, velocity_of
 from eqsim.fitting.posterior import SHARES
 from eqsim.fitting.profiles import LEVELS, WIDE
+from eqsim.fitting.rate_and_state import RateAndStateForward
 from eqsim.io.labels import axis, plain, unit_text, with_unit
 from eqsim.model.drive import Programme
 from eqsim.numerics.tables import Array
 from eqsim.plots.panels import scores
-from eqsim.plots.style import DASHES, MARKERS, styled
+from eqsim.plots.style import DASHES, MARKERS, styled, wrap_titles
 
 if TYPE_CHECKING:
     from eqsim.fitting.fit import FitResult, Prepared
     from eqsim.fitting.posterior import Posterior
 
-_TITLE_WIDTH = 100  # characters
 # Points of a curve between neighbouring velocities.
 _BETWEEN = 8
 # Singular values of J below which, relative to the largest, a direction has no effect.
@@ -55,6 +55,15 @@ def band(problem: Problem, result: "FitResult") -> tuple[Array, Array]:
     return values, np.sqrt(((np.array(columns).T @ root) ** 2).sum(axis=1))
 
 
+def _unit(result: "FitResult | Prepared", of: Dimension) -> str:
+    """The unit of a record, given or natural; a model without contacts has none of the
+    latter."""
+    units = result.file.units
+    if not isinstance(result.problem.forward, RateAndStateForward):
+        return unit_text(units, of)
+    return unit_text(replace(units, natural=()), of, unknown=False)
+
+
 class _Abscissa(NamedTuple):
     """The abscissa of measurements: values, a label, and whether they are velocities or
     times, along which a fit is drawn as a curve."""
@@ -69,7 +78,8 @@ class _Abscissa(NamedTuple):
         """Time of a record, the velocity if it changes, else the measurement's number."""
         table, units = result.table, result.file.units
         if table.time is not None:
-            return cls(table.time, axis("time", units), False, True)
+            label = with_unit(COLUMNS["time"].mathtext, _unit(result, TIME))
+            return cls(table.time, label, False, True)
         given = map(velocity_of, table.conditions)
         steady = result.file["drive.velocity"]
         velocity = np.array([steady if v is None else v for v in given], float)
@@ -116,8 +126,7 @@ def data_figure(prepared: "Prepared", title: str) -> Figure:
             panels[0].plot(t, force, color="0.8", linewidth=0.4, zorder=0)
         for end in prepared.file.drive.corners[0][1:]:
             panels[0].axvline(end, color="0.6", linestyle=":", linewidth=0.7)
-    said = textwrap.fill("; ".join(prepared.table.said), _TITLE_WIDTH)
-    panels[0].set_title(plain(f"{title}\n{said}"))
+    panels[0].set_title(plain(f"{title}\n{'; '.join(prepared.table.said)}"))
     return figure
 
 
@@ -209,8 +218,7 @@ def compared_figure(models: "Mapping[str, FitResult]", title: str) -> Figure:
     x, programme = _Abscissa.of(first), first.file.drive
     assert isinstance(programme, Programme)
     if all(segment.velocity for segment in programme.segments):
-        unit = unit_text(first.file.units, LENGTH)
-        label = with_unit("displacement of the load point", unit)
+        label = with_unit("displacement of the load point", _unit(first, LENGTH))
         x = x._replace(values=programme.position(x.values), label=label)
     figure = Figure(figsize=(8, 3.6 + 1.5 * len(models)))
     heights = [2.4, *[1.0] * len(models)]
@@ -338,4 +346,7 @@ def posterior_figure(sampled: "Posterior", title: str) -> Figure:
         panel.grid(False)
     heading = f"{title}: posterior".removeprefix(": ") + " (dashed: 95 %)"
     figure.suptitle(plain(heading))
+    wrap_titles(figure)
+    share, place = size / figure.get_figheight(), figure.subplotpars
+    figure.subplots_adjust(bottom=share * place.bottom, top=share * place.top)
     return figure

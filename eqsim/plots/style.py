@@ -72,12 +72,15 @@ Arguments = ParamSpec("Arguments")
 
 
 def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
-    """Let a function draw in this style."""
+    """Let a function draw in this style, with titles that fit on the page."""
 
     @functools.wraps(draw)
     def drawn(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
         with matplotlib.rc_context(STYLE | PANELS):
-            return draw(*args, **kwargs)
+            figure = draw(*args, **kwargs)
+            if isinstance(figure, Figure):  # no film
+                wrap_titles(figure)
+            return figure
 
     return drawn
 
@@ -114,12 +117,25 @@ def wrapped(text: str, inches: float) -> str:
         whole.append(found[0])
         return "\0" * len(re.sub(r"\\[a-z]+|[${}^_ ]+", "\0", found[0]))
 
-    text = re.sub(r"\$[^$]*\$|\[.*?\](?= |$)", kept, text)
+    text = re.sub(r"(?<!\\)\$[^$]*\$|\[.*?\](?= |$)", kept, text)
     letter = 0.55 * matplotlib.rcParams["axes.titlesize"] / 72.0  # mean width, inches
     options: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
     wide = max(1, int(inches / letter))
     lines = (textwrap.fill(line, wide, **options) for line in text.split("\n"))
     return re.sub("\0+", lambda found: whole.pop(0), "\n".join(lines))
+
+
+def wrap_titles(figure: Figure) -> None:
+    """Break titles that are wider than the page into lines, for which it grows."""
+    titles = [axes.title for axes in figure.axes]
+    if heading := figure.get_suptitle():
+        titles.append(figure.suptitle(heading))
+    for title in titles:
+        before = title.get_window_extent()
+        if before.width > 0.9 * figure.bbox.width:
+            title.set_text(wrapped(title.get_text(), 0.75 * figure.get_figwidth()))
+            grown = title.get_window_extent().height - before.height
+            figure.set_figheight(figure.get_figheight() + grown / figure.dpi)
 
 
 def not_flat(axes: Any) -> None:
