@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from eqsim.catalogue import RATE, TIME, VELOCITY
 from eqsim.io.labels import unit_text
 from eqsim.plots.panels import DOTS, Caption
-from eqsim.plots.style import styled
+from eqsim.plots.style import styled, wrap_titles
 
 if TYPE_CHECKING:
     from eqsim.engine.chain_records import ChainTrajectory
@@ -35,10 +35,12 @@ def chain_figure(run: "ChainTrajectory", caption: Caption) -> Figure:
         if chosen.any():
             place = events["t"][chosen], events["peak"][chosen]
             top.plot(*place, label=label, **DOTS | {"color": "C3", "marker": marker})
-    top.set(ylabel=caption.force, ylim=(min(0.0, run.spring.min()), None))
+    top.set(ylabel=caption.force)
+    if top.dataLim.y0 >= 0:
+        top.set_ylim(bottom=0)
     caption.beside(top)
     top.set_title(caption.heading)
-    top.legend(loc="lower right", title=caption.means or None)
+    top.legend(loc="best", title=caption.means or None)
     low.plot(run.t, run.roughness, color="C2")
     low.set(xlabel=caption.along("t"), xlim=(run.t[0], run.t[-1]), ylim=(0, None))
     low.set_ylabel(caption.unit("spread of $X$\nbetween blocks"))
@@ -104,6 +106,7 @@ def animation_of(run: "ChainTrajectory", caption: Caption) -> Any:
     for axes, column in ((top, force), (low, V)):
         axes.set_ylim(min(0.0, column.min()), 1.05 * max(column.max(), 1e-300))
     top.set(ylabel=caption.force, title=caption.heading)
+    wrap_titles(figure)
     velocity = caption.unit("velocity of the block", VELOCITY, unknown=True)
     low.set(xlabel="block", ylabel=velocity)
     unit = unit_text(caption.units, TIME, unknown=False)

@@ -1,5 +1,6 @@
 """Pictures of runs and of exact curves."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from eqsim.plots.panels import (
     draw_sizes,
     legend_below,
 )
-from eqsim.plots.style import styled
+from eqsim.plots.style import styled, wrapped
 from eqsim.results import draw_band
 
 if TYPE_CHECKING:
@@ -135,11 +136,12 @@ def programme_figure(
     run: "ProgrammeTrajectory", exact: "Transient | None", caption: Caption
 ) -> Figure:
     """Draw F along a programme with its error band and the exact mean, against t with
-    the segments marked, and against X; each hold in a panel of its own, where time
-    begins anew and is logarithmic; and the difference from the exact mean in standard
-    errors."""
-    holds = [i for i, segment in enumerate(run.segments) if segment.velocity == 0]
-    holds = holds[:_MOST_HOLDS]
+    the segments marked, and against X; each hold of several records in a panel of its
+    own, where time begins anew and is logarithmic; and the difference from the exact
+    mean in standard errors."""
+    records = np.bincount(run.segment[1:], minlength=len(run.segments))
+    held = np.array([segment.velocity == 0 for segment in run.segments])
+    holds = np.flatnonzero(held & (records > 1))[:_MOST_HOLDS].tolist()
     rows = [2.2, 2.2] + [1.0] * (exact is not None)
     figure = Figure(figsize=(9, 2.2 + sum(rows) + 2.4 * bool(holds)))
     upper: Any = figure
@@ -170,8 +172,8 @@ def programme_figure(
         begin = run.t[here[0] - 1] if index else 0.0
         _draw_course(panel, run.t - begin, run, exact, here=here)
         panel.set_xscale("log")
-        held = caption.unit(f"time held, segment {index}", TIME, unknown=True)
-        panel.set_xlabel(held)
+        label = caption.unit(f"time held, segment {index}", TIME, unknown=True)
+        panel.set_xlabel(wrapped(label, 7.5 / len(holds)))
     if holds:
         below[0].set(ylabel=caption.force)
     return figure
@@ -266,8 +268,12 @@ def draw_healing(
 ) -> None:
     """Draw a logarithm through healing after holds, in units of healing and of time."""
     t = np.geomspace(hold.min(), hold.max(), 100)
-    rate, cutoff = f"{law.rate} {unit}".rstrip(), f"{law.cutoff} {time_unit}".rstrip()
-    label = f"{rate} per decade, beyond $t$ = {cutoff}"
+    doubt = "" if law.rate.reliable and law.cutoff.reliable else ", unreliable"
+    rate, cutoff = (
+        f"{replace(estimate, reliable=True)} {name}".rstrip()
+        for estimate, name in ((law.rate, unit), (law.cutoff, time_unit))
+    )
+    label = f"{rate} per decade, beyond $t$ = {cutoff}{doubt}"
     axes.plot(t, law.at(t), color=color, linewidth=1, label=label)
 
 

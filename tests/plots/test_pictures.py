@@ -3,12 +3,14 @@ and what colours they have."""
 
 import json
 from itertools import combinations
+from types import SimpleNamespace
 
 import matplotlib
 import matplotlib.colors
 import numpy as np
 import pytest
 from command_line import call
+from matplotlib import animation
 from matplotlib.ticker import AutoLocator
 from typer.testing import CliRunner
 
@@ -21,6 +23,7 @@ from eqsim.io.units import Units
 from eqsim.master.chain_modes import Modes
 from eqsim.model.healing import Healing
 from eqsim.plots import checks, runs, style
+from eqsim.plots.chains import animation_of, chain_figure
 from eqsim.plots.panels import Caption
 from eqsim.plots.style import saved
 from eqsim.workflows.curve import curve
@@ -104,6 +107,87 @@ def test_labels_are_within_the_page(run_file):
     figure = simulated(run_file, changes)
     figure.axes[1].yaxis.set_major_locator(AutoLocator())
     assert left_end(figure) < 0.0
+
+
+def test_long_titles_are_within_the_page(run_file):
+    """Signs of dollar in a title begin no formula, which would stay whole."""
+    file = load(run_file, {"title": "from $1 " + "for a word " * 16 + "to $9"})
+    caption = Caption.of(file)
+    figure = runs.sizes_figure(np.ones(9, int), 9, np.empty(0), caption, False)
+    saved(figure)
+    title = figure.axes[0].title
+    lines = title.get_text().split("\n")
+    assert len(lines) > 2
+    assert [" ".join(lines[:-1]), lines[-1]] == caption.heading.split("\n")
+    extent = title.get_window_extent()
+    assert 0 < extent.x0 < extent.x1 < figure.bbox.x1
+    assert extent.y1 < figure.bbox.y1
+
+
+def test_long_titles_of_films(monkeypatch):
+    monkeypatch.setattr(animation, "FuncAnimation", lambda figure, *_, **__: [figure])
+    records = np.zeros((2, 5))
+    found = SimpleNamespace(
+        t=records[:, 0], in_space=lambda _: records, chain=SimpleNamespace(count=5)
+    )
+    (figure,) = animation_of(found, Caption("a film of a chain " * 9))
+    saved(figure)
+    extent = figure.axes[0].title.get_window_extent()
+    assert 0 < extent.x0 < extent.x1 < figure.bbox.x1
+
+
+def programme(points):
+    """Four holds and motion between, of so many records each, whatever contacts do."""
+    count = 7 * points
+    segment = np.maximum(np.arange(count + 1) - 1, 0) // points
+    segments = [SimpleNamespace(velocity=i % 2, t=1.0 + i) for i in range(7)]
+    force, t = np.full(count + 1, 0.5), np.linspace(0.0, 7.0, count + 1)
+    return SimpleNamespace(
+        t=t, X=t, force=force, force_stderr=0.1 * force, segment=segment,
+        segments=segments,
+    )  # fmt: skip
+
+
+def test_panels_of_holds():
+    """Each shows a line, and labels are beside each other within the page. Of a hold of
+    one record beside that at which it begins (control), there is none to show."""
+
+    def panels(points):
+        figure = runs.programme_figure(programme(points), None, Caption(""))
+        saved(figure)
+        return figure, [axes for axes in figure.axes if axes.get_xscale() == "log"]
+
+    figure, below = panels(3)
+    for number, panel in enumerate(below):
+        label = f"time held, segment {2 * number}\n[unit of the run file]"
+        assert panel.get_xlabel() == label
+        assert np.count_nonzero(panel.lines[0].get_xdata() > 0) > 1
+    extents = [panel.xaxis.label.get_window_extent() for panel in below]
+    edges = [x for extent in extents for x in (extent.x0, extent.x1)]
+    assert len(edges) == 8
+    assert sorted([0.0, *edges, figure.bbox.x1]) == [0.0, *edges, figure.bbox.x1]
+    assert panels(1)[1] == []
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_forces_of_a_chain_that_reverses_are_within_the_axes(sign):
+    """With all marks and room below them; else the axis begins at 0 (control)."""
+    t = np.linspace(0.0, 1.0, 21)
+    force = np.where(t < 0.5, t, sign * t)
+    events = {"t": t[-1:], "peak": 1.1 * force[-1:], "blocks": np.array([5])}
+    found = SimpleNamespace(
+        t=t, spring=force, force=0.9 * force, roughness=t,
+        events=events | {"ended": np.array([True])}, chain=SimpleNamespace(count=5),
+    )  # fmt: skip
+    figure = chain_figure(found, Caption(""))
+    saved(figure)
+    top = figure.axes[0]
+    low, high = top.get_ylim()
+    assert low == 0.0 if sign > 0 else low < -1.1
+    assert high > force.max()
+    legend = top.get_legend().get_window_extent()
+    points = top.transData.transform(np.column_stack((t, force)))
+    assert not any(legend.contains(*point) for point in points)
 
 
 def test_titles_say_what_is_simulated(run_file):
@@ -401,14 +485,17 @@ def test_the_spread_between_blocks_is_that_of_all_replicas(tmp_path):
 
 
 def test_healing_in_a_legend():
-    """Estimates as on a terminal, not as mathematics, with their units."""
+    """Estimates as on a terminal, not as mathematics, with units behind numbers."""
     law = Healing(Estimate(3.5e-5, 1e-6, 4, None, False), Estimate(2.0, 0.1, 4), 1.0, 2)
     hold = np.array([1.0, 10.0, 100.0])
     holds = hold, law.at(hold), np.full(3, 1e-6)
     caption = Caption("", units=Units("um", "s"))
     figure = runs.healing_figure(holds, np.empty(0), law, caption)
     label = figure.axes[0].get_legend().get_texts()[0].get_text()
-    assert label == "3.50(10)e-05  unreliable µm per decade, beyond $t$ = 2.00(10) s"
+    assert label == "3.50(10)e-05 µm per decade, beyond $t$ = 2.00(10) s, unreliable"
+    sure = law._replace(rate=Estimate(3.5e-5, 1e-6, 4))
+    label = runs.healing_figure(holds, np.empty(0), sure, caption).axes[0].lines[-1]
+    assert label.get_label().endswith("2.00(10) s")
 
 
 def test_growth_of_perturbations():
