@@ -156,7 +156,7 @@ def precursors(
     if weight.shape != (blocks,) or not np.all((weight > 0.0) & (weight < 1e9)):
         raise InputError(f"load: must be {blocks} numbers > 0, one for each block")
     weight = weight / weight.mean()
-    band = np.full((2, blocks), -coupling)
+    band = np.full((2, blocks), -float(coupling))
     band[1] = weight + 2.0 * coupling
     band[1, [0, -1]] -= coupling
     G = linalg.solveh_banded(band, np.eye(blocks))

@@ -206,7 +206,7 @@ def lives_of(contacts: Reduced, xi: Array, share: Array, panels: int) -> Lives:
     stiff = stiffness_at(age, xi[:, None, None])
     slower = last * _AGE_STEP
     slope = aging.growth_at(last + slower) - aging.growth_at(last - slower)
-    reached = np.exp(-np.minimum(whole.sum(axis=1), 700.0)) * (gone >= last)
+    reached = np.exp(-np.minimum(whole.sum(axis=1), 700.0))
     ending = share * reached / (1.0 - xi * slope / (2.0 * slower))
     return Lives(
         age=age,

@@ -84,10 +84,11 @@ def test_loads_of_precursors_are_rational():
     assert found.breaks.tolist() == [1, 1, 1, 1, 2, 2]
 
 
-def test_precursors_of_two_blocks_of_unequal_load():
+@pytest.mark.parametrize("coupling", [1.0, 1])
+def test_precursors_of_two_blocks_of_unequal_load(coupling):
     """Two blocks of weights 1/2 and 3/2 with K = 1, by hand: G = ((10, 4), (4, 6))/11,
     and a break of the first block moves both by half of its column."""
-    found = precursors(1.0, 2, load=[1.0, 3.0])
+    found = precursors(coupling, 2, load=[1.0, 3.0])
     assert found.force.tolist() == pytest.approx([1.1, 1.7, 1.75], rel=1e-14, abs=0)
     assert found.reach.tolist() == [1, 1, 2]
     assert found.breaks.tolist() == [1, 1, 1]

@@ -22,6 +22,7 @@ from eqsim import (
     Ensemble,
     Gamma,
     InputError,
+    Pathway,
     Programme,
     Segment,
     Stage,
@@ -42,6 +43,7 @@ from eqsim.model.slip import least_slip
 
 LOGARITHMIC = Aging("logarithmic", beta=0.05, cutoff_time=0.1)
 GROWING = Aging("flow", rate=0.05, x_star_final=2.0)
+CATCH = Thermal(barrier="catch-slip", catch=Pathway(1.0, 1.0), slip=Pathway(0.01, 4.0))
 ABOVE = Ensemble(  # no threshold is less than .35
     Distribution(stats.uniform(0.3545, 0.9315)),
     Thermal(0.2),
@@ -687,22 +689,33 @@ def test_roots_with_heat(stiffness, root):
 
 def test_slow_perturbations_follow_the_steady_force():
     """Z/p -> dF/dV, by differences of the reference, whose error is of second order in
-    their step; also where thresholds grow."""
+    their step; also where thresholds grow. The error of Z is that which is quoted."""
     for warm in (
         contacts(tau=1.0, thermal=Thermal(0.1)),
         contacts(thermal=Thermal(0.1), aging=LOGARITHMIC),
         contacts(aging=LOGARITHMIC, stiffness_law="sqrt"),
         contacts(tau=1.0, aging=GROWING, stiffness_law="sqrt"),
         ABOVE,
+        *(
+            contacts(tau=1.0, thermal=heat, aging=aging)
+            for heat in (Thermal(0.2, barrier="stiff"), Thermal(0.2, barrier="cusp"))
+            for aging in (LOGARITHMIC, GROWING)
+        ),
+        contacts(thermal=CATCH, aging=LOGARITHMIC),
     ):
-        fine, h = loop(warm, pulled(0.1)), 1e-3
-        p = 1e-6
+        p, h = 1e-6, 1e-3
         # V = 1 in the units of the equation, the law's scale is that of lengths
-        slope = fine.response(np.array([p]))[0].real / p * warm.thresholds.scale
+        slope, coarse = (
+            loop(warm, pulled(0.1), nodes).response(np.array([p]))[0].real
+            / p
+            * warm.thresholds.scale
+            for nodes in (characteristic.FINE, characteristic.COARSE)
+        )
         up, down = (
             reference(warm, Drive(0.1 * math.exp(step))).friction for step in (h, -h)
         )
         missed = (up.stderr + down.stderr) / (2.0 * h) + 1e-5
+        missed += characteristic.OF_COARSER * abs(slope - coarse)  # as it is quoted
         assert (up.value - down.value) / (2.0 * h) == pytest.approx(slope, abs=missed)
 
 
