@@ -8,6 +8,7 @@ logarithmic.
 
 import math
 import warnings
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -48,9 +49,11 @@ class Healing(NamedTuple):
 
     def told(self, rate: Estimate | None = None, unit: str = "") -> str:
         """The law in words; `rate` in another quantity, `unit` of time."""
-        time = f"{self.cutoff} {unit}".strip()
-        said = f"{rate or self.rate} per decade, logarithmic beyond {time}"
+        rate, cutoff = rate or self.rate, self.cutoff
+        slope, time = (replace(one, reliable=True) for one in (rate, cutoff))
+        said = f"{slope} per decade, logarithmic beyond {time} {unit}".strip()
         doubt = "" if self.logarithmic else ": no logarithm within errors"
+        doubt += "" if rate.reliable and cutoff.reliable else ", unreliable"
         return f"{said} (chi-square {self.chi_square:.3g} of {self.dof}{doubt})"
 
 

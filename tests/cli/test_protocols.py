@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -143,6 +144,8 @@ def test_healing_is_fitted_by_its_logarithm():
     few = 10.0 ** np.arange(3), 0.01 * np.arange(1.0, 4.0), error[:3]
     up, down = (healing_law(few[0], sign * few[1], few[2]) for sign in (1.0, -1.0))
     assert down.rate.value == pytest.approx(-up.rate.value, rel=1e-6, abs=0)
+    doubtful = up._replace(cutoff=replace(up.cutoff, reliable=False))
+    assert doubtful.told(unit="s") == up.told(unit="s")[:-1] + ", unreliable)"
 
 
 @pytest.mark.long  # 20 s: the default suite has to end in time on a machine that others use as well

@@ -3,6 +3,7 @@ of kernels, and the engine beside exact transients. Values of pinned shares are 
 the Laplace transform 1/(s + k_off (1 - w(s))), inverted by mpmath."""
 
 import math
+import warnings
 from dataclasses import replace
 
 import mpmath
@@ -297,6 +298,13 @@ def test_identical_contacts_forget_where_they_began():
 
 
 # ---- dependence on temperature and velocity ----
+
+
+def test_rests_at_infinity():
+    for wait in (Delay(2.0, "gamma", shape=4.0), Delay(2.0, "lognormal", sigma=0.5)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert wait.residual_cdf([0.0, math.inf]).tolist() == [0.0, 1.0]
 
 
 def test_activation():
