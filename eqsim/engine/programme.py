@@ -331,12 +331,13 @@ def unmet_forces(
 
 
 def step_bias(steps: tuple[Step, ...]) -> float:
-    """Relative error of steps of fluctuating thresholds, beyond the usual one."""
+    """Relative error of steps of fluctuating thresholds where it exceeds the usual."""
     if not steps[0].contacts.aging.fluctuates:
         return 0.0
     pieces = ((step.contacts.aging, step.run) for step in steps)
-    times = ((law, 1.0 if run.moves else run.length) for law, run in pieces)
-    return max(step_error(law, time=time) for law, time in times) - STEP_ERROR
+    times = ((law, None if run.moves else run.length) for law, run in pieces)
+    error = max(step_error(law, time=time) for law, time in times)
+    return error if error > STEP_ERROR else 0.0
 
 
 def _variance(

@@ -948,3 +948,40 @@ def test_given_friction(v, annealed, flow, langevin):
             abs(found.value - exact)
             < LIMIT * found.stderr + (STEPS if exact == langevin else 1e-6) * exact
         )
+
+
+def test_what_steps_cost_depends_on_relaxations_in_the_final_scale():
+    """Or in the newborn one, if that is smaller; and on those in the time of a hold."""
+
+    def error(rate, final, time=None):
+        law = Aging("langevin", rate, final).law(Gamma(1.0), 1.0)
+        return langevin.step_error(law, time=time)
+
+    assert error(1.0, 1.0) == langevin.STEP_ERROR == error(1e-2, 0.1)
+    for relaxed in (1e3, 1e4):
+        same = [error(relaxed * final, final) for final in (1.0, 0.3, 0.1)]
+        same += [
+            error(relaxed, 5.0),
+            error(1.0, 1.0, relaxed),
+            error(0.1, 0.1, relaxed / 10),
+        ]
+        assert same == pytest.approx([same[0]] * 6, rel=1e-12, abs=0)
+    assert error(1e4, 1.0, 0.5) < error(1e4, 1.0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("rate", "final"), [(1e4, 1.0), (1e3, 0.1), (100.0, 0.1)])
+def test_fast_relaxation_towards_weaker_contacts(rate, final):
+    """What the steps cost is quoted (|z| < 4.5 beyond it for 2 averages: false alarm
+    1e-5), and steps that are asked for 1 % cost a third of that."""
+    aging = Aging("langevin", rate, final)
+    ensemble = Ensemble(Gamma(1.0), aging=aging, stiffness_law="uniform")
+    exact = reference(ensemble, Drive(1.0))
+    for accuracy in (0.1, 0.01):
+        found = steady(ensemble, Drive(1.0), rel_error=accuracy, seed=11)
+        assert found.hidden <= 1.01 * accuracy / 3.0
+        for name in ("friction", "travel"):
+            mean, right = getattr(found, name), getattr(exact, name).value
+            scatter = math.sqrt(mean.stderr**2 - (found.hidden * right) ** 2)
+            assert abs(mean.value - right) < found.hidden * right + 4.5 * scatter
+            assert mean.stderr < (found.hidden + 5e-3) * right
