@@ -75,8 +75,9 @@ def schema(plan: Plan) -> Any:
     for name in OBSERVABLES:
         fields |= columns(name, "dof", "reliable", *exact)
     converted = quantities(Ensemble(), file.units, file.interface)
-    steady = not file["drive.programme"] and runs - {"pulled", "forced"}
-    for one in converted if steady else ():
+    stalls = "drive.stall_force" in plan.changed or file["drive.stall_force"]
+    of_replicas = "pulled" in runs and (stalls or file["elastic"])
+    for one in converted if runs & {"averages", "blocks"} or of_replicas else ():
         fields |= columns(one.column, "reference")
     for name in ("size", "single") if file["elastic"] else ():
         fields |= columns(name, "reference", "z")
@@ -191,7 +192,7 @@ class Store:
             pairs = file.settings[section].items()
             values |= {f"{section}.{key}": value for key, value in pairs if value}
         values |= {f"sweep.{key}": value for key, value in entries(file.sweep)}
-        values["order of axes"] = [*file.sweep]
+        values["order of axes"] = [key for key, _ in entries(file.sweep)]
         texts = {key: repr(value) for key, value in values.items()}
         for name, content in contents_of(file, self.plan.files).items():
             texts[_CONTENT + name] = _digest(content)

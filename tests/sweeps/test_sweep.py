@@ -272,6 +272,49 @@ def test_an_axis_may_change_the_kind_of_drive(given, key, values, simulated, tmp
         assert row[name] is not None, row["message"]
 
 
+SPEEDS = 0.1, 0.2
+ALONG = {"drive": {"programme": [{"velocity": v, "distance": 2.0} for v in SPEEDS]}}
+PULL = {"drive": {"force": 0.3, "time": 1e4}}
+MOTOR = {"drive": {"velocity": 0.1, "distance": 2.0, "stall_force": 0.5}}
+STAGE = {"drive": {"velocity": 0.1, "distance": 2.0, "stage": {"stiffness": 0.5}}}
+LESS = ("_dof", "_reliable", "_reference_error")
+IN_TIME = CHAIN | {"elastic": CHAIN["elastic"] | {"damping": 0.3}}
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        pytest.param({}, id="constant"),
+        pytest.param(TIMED, id="in time"),
+        pytest.param(ALONG, id="along"),
+        pytest.param(CHAIN, id="blocks"),
+        pytest.param(CHAIN | ALONG, id="blocks along"),
+        pytest.param(STAGE, id="stage"),
+        pytest.param(BUNDLE | PULL, id="force"),
+        pytest.param(MOTOR, id="motor"),
+        pytest.param(
+            {"drive": ALONG["drive"] | {"stall_force": 0.5}}, id="motor along"
+        ),
+        pytest.param(IN_TIME, id="chain"),
+        pytest.param(IN_TIME | ALONG, id="chain along"),
+    ],
+)
+def test_no_column_of_a_row_is_dropped(given):
+    """Nor those of the forces at the interface. Of some estimates neither degrees of
+    freedom nor bounds of references are kept."""
+    small = {"output": {"points": 21, "replicas": 2}, "interface": {"normal_load": 9.0}}
+    units = {"units": {"length": "um", "time": "s", "force": "mN"}}
+    swept_key = {"sweep": {"thermal.kT": [0.1]}}
+    plan = Plan(check(DRIVEN | given | small | units | swept_key))
+    row = rows_module._point_row(plan.task(0), Asked(rel_error=0.1), 1)
+    assert row["status"] != "failed"
+    row |= store_module.physical(plan.at(0), row)
+    dropped = row.keys() - {*schema(plan).names}
+    assert {name for name in dropped if not name.endswith(LESS)} == set()
+    for name in ("friction_force", "friction_coefficient"):
+        assert (name in row) == ("friction" in row) == (name in schema(plan).names)
+
+
 def test_a_drive_that_an_axis_reads_is_refused(tmp_path):
     """The content of such a file is no part of a point, as of one in [drive]."""
     with pytest.raises(InputError, match=r"^drive.file: not allowed with \[sweep\]"):
@@ -545,6 +588,17 @@ def test_another_sweep_in_the_same_folder_is_refused(small):
     with pytest.raises(InputError, match=r"rel_error was 0.01, is 0.001"):
         again(GRID, rel_error=1e-3)
     assert (small / "one" / "sweep.parquet").stat().st_mtime_ns == before
+
+
+def test_the_order_of_axes_without_quotes_belongs_to_the_sweep(tmp_path):
+    axes = "thermal.kT = [0.1, 0.2]", "thermal.attempt_frequency = [1.0, 2.0]"
+    for first, last in (axes, axes[::-1]):
+        plan = plan_of(f"{BASE}[sweep]\n{first}\n{last}\n")
+        if (first, last) == axes:
+            Store(tmp_path / "o", plan, Asked()).close()
+            continue
+        with pytest.raises(InputError, match="order of axes was"):
+            Store(tmp_path / "o", plan, Asked())
 
 
 def test_what_the_sweep_replaces_may_change(small):
