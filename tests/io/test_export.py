@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from command_line import call
 
-from eqsim import Units, load, sweep
+from eqsim import Units, load, run, sweep
 from eqsim.catalogue import KEYS
 from eqsim.fitting.record import read_record
 from eqsim.fitting.section import section_of
@@ -143,6 +143,29 @@ def test_a_sweep(made, path):
     refused = call("export", made / path, "--out", made / "swept" / "x.csv")
     assert (refused.exit_code, refused.stderr.count("\n")) == (2, 1)
     assert "where everything is read as points" in refused.stderr
+
+
+CHAIN = {
+    "contacts": {"count": 40, "stiffness_law": "uniform"},
+    "drive": {"velocity": 0.1, "time": 2.0},
+    "elastic": {"blocks": 4, "coupling": 1, "drive_stiffness": 1, "damping": 0.3},
+    "output": {"points": 3},
+}
+
+
+def test_columns_of_chains_in_time():
+    """Each column of each table has a meaning, and a unit if it is no number."""
+    tables = run(check(CHAIN)).tables()
+    assert {"trajectory", "blocks", "broke", "events", "fronts"} <= tables.keys()
+    names = set().union(*tables.values())
+    assert [name for name in names if not meaning(name)] == []
+    units = Units("um", "s", "mN")
+    united = {"duration": "s", "peak": "um", "energy": "um^2", "speed": "1/s"}
+    united |= {"speed_stderr": "1/s", "V": "um/s", "roughness": "um"}
+    for name, unit in united.items():
+        assert meaning(name, units).endswith(f" ({unit})"), name
+    assert meaning("growth_error", units).endswith(" (1/s)")  # of `stability`
+    assert all(map(meaning, ("wave_number", "growth", "z")))
 
 
 def test_a_table_that_lies_in_the_folder_of_a_sweep(made, tmp_path):
