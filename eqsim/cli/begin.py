@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import tomllib
 from pathlib import Path
 from typing import Annotated
@@ -103,12 +102,12 @@ def _law(path: Path, column: str | None, folder: Path) -> str:
     index = sheet.index(column) if column else 0
     name = sheet.columns[index]
     sheet.require_names()
-    named = re.search(r"[\[(]([^\])]+)[\])]$", name)
-    unit = named[1] if named else "".join(sheet.units[index : index + 1]).strip("[]()")
-    value, of = (units.measured(f"1 {unit}") if unit else None) or (0.0, LENGTH)
-    if of not in (LENGTH, FORCE):
-        said = f'column "{name}" must be a length or a force'
-        raise InputError(f"--thresholds {path}: {said}")
+    unit = sheet.unit(index)
+    found = units.measured(f"1 {unit}") if unit else (0.0, LENGTH)
+    if found is None or found[1] not in (LENGTH, FORCE):
+        said = f'column "{name}" must be a length or a force, as in nm or mN'
+        raise InputError(f'--thresholds {path}: {said}; its unit is "{unit}"')
+    value, of = found
     quantity = "force" if of == FORCE else "stretch"
     ours = "mN" if of == FORCE else "um"
     scale = value / (_MILLINEWTON if of == FORCE else _MICROMETRE) if value else 1.0

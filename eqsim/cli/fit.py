@@ -309,8 +309,11 @@ def design(
 
 
 def _made_at(found: "designing.Design") -> Iterator[str]:
-    """The printed lines on what is expected, and at which values of other keys."""
+    """The printed lines on what is expected, of which set of the data and at which
+    values of other keys."""
     yield _EXPECTED
+    if found.set:
+        yield f"of set {found.set}"
     if found.at:
         at = ", ".join(f"{key} = {value}" for key, value in found.at.items())
         yield f"at {at} of the run file; --set {next(iter(found.at))}=... for others"

@@ -58,8 +58,8 @@ class NextMeasurement(NamedTuple):
 class Design(NamedTuple):
     """The expected standard deviation of a key now, after repeating all measurements,
     and after each of some new ones, the best first; the name of its variable, such as
-    "ln thermal.kT"; and values of the run file at which new ones are made, of keys that
-    are columns of the data."""
+    "ln thermal.kT"; values of the run file at which new ones are made, of keys that are
+    columns of the data; and the set of the data that they belong to, if it has any."""
 
     key: str
     variable: str
@@ -67,6 +67,7 @@ class Design(NamedTuple):
     repeated: float
     steps: list[NextMeasurement]
     at: dict[str, float]
+    set: str
 
 
 def expected(jacobian: Array, index: int) -> float:
@@ -86,7 +87,8 @@ def design(
     folder `fitted`, one after the other, each the best given those before.
 
     By default velocities go up to ten times beyond those of the data, and temperatures
-    are those of the data; other keys that are columns have the run file's values.
+    are those of the data; other keys that are columns have the run file's values. They
+    are of the set whose scale the key is, else of the first one in the data.
     Raises InputError if the folder holds no fit of these data, or the key is not free.
     """
     require_integer("next", count, 1, 1000)
@@ -101,7 +103,9 @@ def design(
     index, u = problem.keys.index(key), _best(fitted, prepared)
     jacobian = problem.jacobian(u)
     v, T = _candidates(prepared, velocities, temperatures)
-    rows = _measurable(prepared, u, v, T).jacobian(u)[: v.size]
+    sets, asked = prepared.table.sets, key.removeprefix("fit.scale.")
+    chosen = asked if asked in sets else sets[0]
+    rows = _measurable(prepared, u, v, T, chosen).jacobian(u)[: v.size]
     again = np.vstack((jacobian, jacobian[: problem.value.size]))
     now, repeated, steps = expected(jacobian, index), expected(again, index), []
     for _ in range(count):
@@ -113,7 +117,7 @@ def design(
     name = problem.parameters[index].variable_name
     columns = [one for one in prepared.table.names if one != "drive.velocity"]
     at = {one: file[one] for one in columns if file[one] is not None}
-    return Design(key, name, now, repeated, steps, at)
+    return Design(key, name, now, repeated, steps, at, chosen)
 
 
 def _best(fitted: Path, prepared: Prepared) -> Array:
@@ -188,18 +192,22 @@ def _candidates(
     return np.tile(v, T.size), np.repeat(T, v.size)
 
 
-def _measurable(prepared: Prepared, u: Array, v: Array, T: Array) -> Problem:
-    """A problem whose measurements are the candidates, with the relative error of the
-    data. Raises InputError unless these have a friction."""
+def _measurable(
+    prepared: Prepared, u: Array, v: Array, T: Array, chosen: str
+) -> Problem:
+    """A problem whose measurements are the candidates in a chosen set, with the relative
+    error of the data. Raises InputError unless these have a friction there."""
     problem, table, fit = prepared.problem, prepared.table, prepared.fit
     force = np.array(table.observable) == "friction"
-    if not force.any():
-        raise InputError("fit.data: design needs measurements of friction")
+    there = force & np.array([row.set == chosen for row in table.conditions])
+    if not there.any():
+        of = f" of set {chosen}" * bool(chosen)
+        raise InputError(f"fit.data: design needs measurements of friction{of}")
     relative = float(np.median(table.sigma[force] / np.abs(table.value[force])))
     heat = T / (fit.reference_temperature or 1.0)
     rows = [
-        MeasuredAt((("drive.velocity", speed),), warmth, table.sets[0])
+        MeasuredAt((("drive.velocity", speed),), warmth, chosen)
         for speed, warmth in zip(v.tolist(), heat.tolist(), strict=True)
     ]
-    blank = problem.elsewhere(int(np.argmax(force)), rows)
+    blank = problem.elsewhere(int(np.argmax(there)), rows)
     return replace(blank, sigma=relative * blank.given(u))

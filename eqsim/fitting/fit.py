@@ -346,8 +346,9 @@ def prepare(
         raise InputError("fit.scale: no force was measured; give a fixed scale = 1.0")
     count, needed = table.value.size, len(free) + max(1, len(scales))
     if count < needed:
+        where = "fit.data" if section.record is None else "fit.record"
         raise InputError(
-            f"fit.data: has {count} measurements for {len(free)} free keys; "
+            f"{where}: has {count} measurements for {len(free)} free keys; "
             f"at least {needed} are needed"
         )
     loose = [one for one in free if one.prior is None]

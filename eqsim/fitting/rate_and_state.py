@@ -369,7 +369,7 @@ def record_of(
         "record": {"file": path.name, **record},
         "noise": {"absolute": noise},
     }
-    time = read_record(path, Fit.model_validate(section)).time
+    time = read_record(path, Fit.model_validate(section), field="record").time
     assert time is not None
     ends = np.array([0.0, *at, time[-1]])
     if not np.all(np.diff(ends) > 0):

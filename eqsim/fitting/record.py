@@ -131,9 +131,9 @@ def read_record(
     time, value, error = points
     sigma = np.hypot(error, np.hypot(noise.absolute, noise.relative * value))
     if (wrong := np.flatnonzero(~(sigma > 0))).size:
-        cure = "give fit.record.stderr or fit.noise"
+        cure = "fit.record.stderr or fit.noise" if file else "columns and noise"
         where = f"{sheet.field}, line {lines[wrong[0]]}"
-        raise InputError(f"{where}: {record.force} has no error; {cure}")
+        raise InputError(f"{where}: {record.force} has no error; give {cure}")
     return Measurements(
         conditions=[MeasuredAt()] * time.size,
         observable=["friction"] * time.size,

@@ -322,6 +322,8 @@ def _check_effect(file: RunFile, key: str, kind: type) -> None:
         wrong = f"its value is {text}; only numbers with a fraction can be fitted"
     elif key == "thermal.temperature":
         wrong = "must be thermal.kT, to which it is proportional"
+    elif key == "thresholds.scale":
+        wrong = "cannot be fitted; give thresholds in the unit of length"
     elif section == "thresholds" and name not in threshold_parameters(law):
         wrong = f'has no effect with thresholds.law = "{law}"'
     elif section == "aging" and file["aging.rule"] == "none":

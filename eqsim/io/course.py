@@ -20,6 +20,9 @@ PULLS = ("force", "force_rate")  # keys of a segment under a force
 def programme_of(file: "RunFile") -> Programme:
     """The programme of a run file. Raises InputError."""
     _check(file["drive"])
+    # beside a start that is given, a velocity is that of another choice of it
+    if "start" not in file.given["drive"]:
+        require_use(file)
     given, blocks = file["drive"], file.blocks
     names = "start", "velocity", "stall_force", "rebinding"
     more = {name: given[name] for name in names if given[name] is not None}
@@ -30,6 +33,15 @@ def programme_of(file: "RunFile") -> Programme:
             with under("stage"):
                 more["stage"] = Stage(**known)
         return Programme(tuple(_segments(file)), **more)
+
+
+def require_use(file: "RunFile") -> None:
+    """Raise InputError for a drive.velocity that a programme does not use."""
+    given = file["drive"]
+    course = given["programme"] is not None or given["file"] is not None
+    if course and given["velocity"] is not None and given["start"] != "stationary":
+        said = 'not allowed with a programme or file, unless drive.start = "stationary"'
+        raise InputError(f"drive.velocity = {given['velocity']!r}: {said}")
 
 
 def _check(given: dict[str, Any]) -> None:
@@ -85,4 +97,5 @@ def _segment(velocity: Any, hold: float | None, **more: Any) -> Segment:
 def recorded_drive(file: "RunFile") -> RecordedDrive:
     """The content of drive.file. Raises InputError."""
     path, how = path_of("file", file.folder, file["drive.file"]), file["drive.record"]
-    return read_drive(path, how and DriveRecord(**how))
+    units = ("", "") if file.repeats else (file.units.time, file.units.length)
+    return read_drive(path, how and DriveRecord(**how), units)

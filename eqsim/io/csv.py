@@ -42,7 +42,7 @@ _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 # A cell of a row of units, such as "um/s" or "[1/mm^2]".
 _UNIT = re.compile(
     r"[\[(]?(?:(?:[munkMGhcdµμ]?(?:m|g|s|N|Pa|K|V|A|J|W|Hz)|min|h|°?C|bar|psi|deg|rad|"
-    r"microns?|sec|%|-|1)(?:\^?[-−]?\d|[²³])?[/*· ]?)*[\])]?"
+    r"microns?|sec|Å|angstrom|%|-|1)(?:\^?[-−]?\d|[²³])?[/*· ]?)*[\])]?"
 )
 # Lines at the beginning of a file that tell what separates its cells.
 _TELLING_LINES = 200
@@ -97,6 +97,13 @@ class Sheet:
         if count > 1:
             raise InputError(f'{self.field}: has {count} columns "{name}"')
         return columns.index(name)
+
+    def unit(self, index: int) -> str:
+        """The unit of a column, in brackets behind its name or in the row of units; ""
+        without one."""
+        named = re.search(r"[\[(]([^\])]+)[\])]$", self.columns[index])
+        below = "".join(self.units[index : index + 1])
+        return named[1] if named else below.strip("[]()-")
 
     @property
     def whole(self) -> "Sheet":

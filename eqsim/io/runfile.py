@@ -36,7 +36,7 @@ from eqsim.io.content import (
     with_blocks,
     without_alternatives,
 )
-from eqsim.io.course import PULLS, programme_of, recorded_drive
+from eqsim.io.course import PULLS, programme_of, recorded_drive, require_use
 from eqsim.io.labels import described
 from eqsim.io.parameters import keys
 from eqsim.io.tables import read_thresholds
@@ -88,12 +88,15 @@ class RunFile(Listed):
         What was read, and what was changed then.
     folder : Path
         Where paths in the file start.
+    repeats : bool
+        True of one that was in force before, in which units in files are passed over.
     """
 
     given: dict[str, Any] = field(compare=False)
     settings: dict[str, Any] = field(repr=False)
     text: str = field(default="", repr=False, compare=False)
     folder: Path = field(default=Path(), repr=False, compare=False)
+    repeats: bool = field(default=False, repr=False, compare=False)
     unlisted: ClassVar[tuple[str, ...]] = (
         *("constant_drive", "driven_by", "headline", "physical"),
         *("preferred", "pulled", "quantities_in", "rows", "sweep_settings"),
@@ -234,8 +237,11 @@ class RunFile(Listed):
         scale = given.get("scale", 1.0)
         require_number("thresholds.scale", scale, **POSITIVE)
         path = path_of("thresholds.file", self.folder, given["file"])
-        found = read_thresholds(path, given.get("column"), scale)
-        if given.get("quantity") != "force":
+        forces = given.get("quantity") == "force"
+        compared = not self.repeats and "scale" not in given
+        unit = (self.units.force if forces else self.units.length) if compared else ""
+        found = read_thresholds(path, given.get("column"), scale, unit)
+        if not forces:
             return found
         contacts = self._made(Ensemble, "contacts")
         force = found.steps  # f = k_i xi, with k_i = k sqrt(f/<f>) under the sqrt law
@@ -296,7 +302,7 @@ class RunFile(Listed):
                 said = "is not a key that can change from point to point"
                 raise InputError(f"{key}: {said}; {hint}")
             put(data, key, value)
-        return check(data, self.folder)
+        return check(data, self.folder, self.repeats)
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -354,7 +360,7 @@ def population_alone(file: RunFile, index: int) -> RunFile:
             without_alternatives(data, [f"{name}.{key}" for key in given])
             alone = given.keys() & {"law", "rule", "barrier"}
             data[name] = given if alone else data.get(name, {}) | given
-    return check(data, file.folder)
+    return check(data, file.folder, file.repeats)
 
 
 def _require_law(key: str, given: dict[str, Any], laws: tuple[str, ...]) -> None:
@@ -415,7 +421,10 @@ def _changed(
     text += "".join(
         f"# --set {key}={plain(value)!r}\n" for key, value in changes.items()
     )
-    return replace(check(data, folder), text=text)
+    file = check(data, folder)
+    if "drive.velocity" in changes and not file.sweep:
+        require_use(file)
+    return replace(file, text=text)
 
 
 def opened(
@@ -455,17 +464,19 @@ def stored(settings: dict[str, Any], folder: Path | str = "") -> RunFile:
             return [restored(content, name) for content in value]
         return math.inf if value == "Infinity" and name not in _FREE_TEXT else value
 
-    return check(restored(settings), Path(folder))
+    return check(restored(settings), Path(folder), repeats=True)
 
 
-def check(data: dict[str, Any], folder: Path = Path()) -> RunFile:
+def check(
+    data: dict[str, Any], folder: Path = Path(), repeats: bool = False
+) -> RunFile:
     """A run file from its content; paths in it start in `folder`. Raises InputError
     with one line that names the field."""
     data = with_blocks(data)
     content = schema.validated(data)
     given = content.model_dump(exclude_unset=True, exclude_none=True)
     given |= {name: data[name] for name in ("sweep", "fit") if data.get(name)}
-    file = RunFile(given, content.model_dump(), folder=folder)
+    file = RunFile(given, content.model_dump(), folder=folder, repeats=repeats)
     _heat(file)
     _ = file.units, file.interface, file.output
     _load(file)

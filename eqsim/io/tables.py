@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 from eqsim.errors import InputError, under
 from eqsim.io import csv
 from eqsim.io.series import LEAST_ROWS, broken_line, read_series
+from eqsim.io.units import measured
 from eqsim.laws.threshold import Table
 from eqsim.model.drive import Segment
 
@@ -40,15 +41,19 @@ def remembered(read: Callable[More, Result]) -> Callable[More, Result]:
 
 
 @remembered
-def read_thresholds(path: Path, column: str | None = None, scale: float = 1.0) -> Table:
+def read_thresholds(
+    path: Path, column: str | None = None, scale: float = 1.0, unit: str = ""
+) -> Table:
     """The empirical law of a CSV file, one positive number a row, in a `column`, by
     default `threshold` or the only one there is, which needs no name. Thresholds are
     multiplied by `scale`, such as 1e-9 of nanometres where lengths are in metres.
-    Raises InputError, with the line that cannot be used."""
+    Raises InputError, with the line that cannot be used, or if the column names another
+    known unit than `unit`."""
     field, values = f"thresholds.file = {path}", []
     sheet, hint = csv.read(path, field), " (thresholds.column names another)"
     alone = column is None and len(sheet.columns) == 1
     index = 0 if alone else sheet.index(column or "threshold", hint)
+    _require_unit(sheet, index, unit, "; thresholds.scale = {:.6g} converts")
     for line, cells in (sheet.whole if alone else sheet).rows():
         value = csv.value_of(cells[index])
         if not 0 < value < math.inf:
@@ -61,6 +66,17 @@ def read_thresholds(path: Path, column: str | None = None, scale: float = 1.0) -
         return Table(values)
     except InputError as error:
         raise InputError(f"{field}: {error}") from None
+
+
+def _require_unit(sheet: csv.Sheet, index: int, unit: str, cure: str = "") -> None:
+    """Raise InputError, with a `cure` that takes the ratio, if a column names another
+    unit than `unit`, and both are known."""
+    there = sheet.unit(index)
+    found, ours = measured(f"1 {there}"), measured(f"1 {unit}")
+    if found and ours and any(found[1]) and any(ours[1]) and found != ours:
+        said = f'column "{sheet.columns[index]}" is in {there}, [units] says {unit}'
+        said += cure.format(found[0] / ours[0]) * (found[1] == ours[1])
+        raise InputError(f"{sheet.field}: {said}")
 
 
 @dataclass(frozen=True)
@@ -83,14 +99,19 @@ class RecordedDrive(NamedTuple):
 
 
 @remembered
-def read_drive(path: Path, record: DriveRecord | None = None) -> RecordedDrive:
+def read_drive(
+    path: Path, record: DriveRecord | None = None, units: Sequence[str] = ("", "")
+) -> RecordedDrive:
     """The segments of a recorded drive: a CSV file with times and displacements,
     piecewise linear. Without a `record` the columns are `t` and `X`, from 0 and 0 on,
-    and gaps and equal times are refused. Raises InputError, with the line."""
+    and gaps and equal times are refused. Raises InputError, with the line, or if they
+    name other known units than `units` of time and length."""
     field, how = f"file = {path}", record or DriveRecord()
     sheet = csv.read(path, field)
     names, strict = [how.time, how.displacement], record is None
     t, values, lines, said = read_series(sheet, names, how.start, strict=strict)
+    for name, unit in zip(names, units, strict=True):
+        _require_unit(sheet, sheet.index(name), unit)
     X = values[:, 0] - (0.0 if strict else values[0, 0])
     if (t[0], X[0]) != (0.0, 0.0):
         first = f"{field}, line {lines[0]}: {how.time} = {t[0]:g}"

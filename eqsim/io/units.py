@@ -291,11 +291,14 @@ def measured(text: str) -> tuple[float, Dimension] | None:
     for below, part in enumerate(unit.split("/")):
         for name, power in re.findall(r"([^\s^*]+)(?:\^(\d))?", part):
             base = next((one for one in _SI if name.endswith(one)), "")
-            prefix = name.removesuffix(base)
-            if base and prefix in _PREFIXES:
+            prefix, of = name.removesuffix(base), _SI.get(base, "")
+            size = float(f"1e{_PREFIXES[prefix]}") if prefix in _PREFIXES else None
+            for other, sizes in _OTHERS.items():
+                of, size = (other, sizes[name]) if name in sizes else (of, size)
+            if of and size:
                 times = int(power or 1) * (-1 if below else 1)
-                value *= float(f"1e{_PREFIXES[prefix]}") ** times
-                for axis, one in dimension(_SI[base])._asdict().items():
+                value *= size**times
+                for axis, one in dimension(of)._asdict().items():
                     powers[axis] += times * one
             elif name != "1":
                 return None

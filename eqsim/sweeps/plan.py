@@ -13,6 +13,7 @@ import pyarrow
 
 from eqsim.errors import InputError, require_integer, require_number, shown, under
 from eqsim.io.content import alternative, of_blocks, path_of
+from eqsim.io.course import require_use
 from eqsim.io.parameters import keys, naming
 from eqsim.io.runfile import RunFile, at
 from eqsim.io.schema import OPTIONAL
@@ -72,6 +73,8 @@ class Plan:
         """Check that a point can be computed, and return its identity."""
         try:
             point = self.at(index)
+            if "drive.velocity" in self.changes(index):
+                require_use(point)
             ensemble, drive = point.ensemble, point.drive
             blocks = point["elastic.blocks"] if point["elastic"] else None
             if isinstance(blocks, list):

@@ -419,6 +419,8 @@ def test_columns_of_a_file_are_no_options():
         ("s [nm];a\n800;1\n1200;2\n", Table([0.8, 1.2])),
         ("0.8\n1.2\n", Table([0.8, 1.2])),
         ("no,strength\n-,uN\n1,800\n2,1200\n", Table([0.4, 0.6])),
+        ("strength (Å)\n8000\n12000\n", Table([0.8, 1.2])),
+        ("s,no\nangstrom,-\n8000,1\n12000,2\n", Table([0.8, 1.2])),
     ],
 )
 def test_a_new_run_file_of_measured_thresholds(text, law, tmp_path):
@@ -447,6 +449,8 @@ def test_a_new_run_file_of_measured_thresholds(text, law, tmp_path):
         (["x.toml", "--column", "a"], "--column a: is for the file of --thresholds"),
         (["x.toml", "--thresholds", "negative.csv"], "line 2: '-1' must be"),
         (["x.toml", "--thresholds", "bare.csv"], "needs names of its columns"),
+        (["x.toml", "--thresholds", "kgf.csv"], 'as in nm or mN; its unit is "kgf"\n'),
+        (["x.toml", "--thresholds", "s.csv"], 'as in nm or mN; its unit is "s"\n'),
     ],
 )
 def test_bad_new_run_files(given, said, tmp_path, monkeypatch):
@@ -454,6 +458,8 @@ def test_bad_new_run_files(given, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("negative.csv").write_text("stretch (um)\n-1\n2\n")
     Path("bare.csv").write_text("1.0,2.0\n2.0,3.0\n")
+    Path("kgf.csv").write_text("strength (kgf)\n1\n2\n")
+    Path("s.csv").write_text("strength (s)\n1\n2\n")
     done = call("new", *given)
     assert done.exit_code == 2
     assert said in done.stderr

@@ -261,6 +261,33 @@ def test_keys_without_a_value_are_not_where_measurements_are_made(folder):
     assert json.loads(done.stdout)["at"] == {}
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+def test_measurements_belong_to_the_set_whose_scale_is_asked_for(folder, swapped):
+    """Else to the first one; and the order of the rows does not count."""
+    head, *rows = (folder / "data.csv").read_text().splitlines()
+    half = len(rows) // 2
+    rows = [f"{row},{'ab'[i >= half]}" for i, row in enumerate(rows)]
+    rows = rows[half:] + rows[:half] if swapped else rows
+    data = "\n".join([f"{head},set", *rows])
+    (folder / "data.csv").write_text(data)
+    summary = json.loads((folder / "fit.json").read_text())
+    del summary["parameters"]["fit.scale"]
+    for name in "ab":
+        summary["parameters"][f"fit.scale.{name}"] = {"estimate": 1.0}
+    summary["data_sha256"] = hashlib.sha256(data.encode()).hexdigest()
+    (folder / "fit.json").write_text(json.dumps(summary))
+    found = design(load(folder / "run.toml"), folder, "fit.scale.b", 2)
+    assert found.set == "b"
+    assert found.now == pytest.approx(0.251808, rel=1e-5, abs=0)
+    first = found.steps[0]  # in set a it would be another
+    assert first.velocity == pytest.approx(3.11388e-4, rel=1e-5, abs=0)
+    assert first.sd == pytest.approx(0.125380, rel=1e-5, abs=0)
+    other = design(load(folder / "run.toml"), folder, "thermal.kT", 1)
+    assert other.set == "ab"[swapped]
+    done = call(folder, "--for", "fit.scale.b", "--next", "1")
+    assert "of set b" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -891,6 +891,8 @@ BAD = {
     "no data": ({}, {"data": None}, DATA, "fit.data: is required"),
     "refused start": ({}, {"free": bounds("thermal.kT", "thermal.attempt_frequency", low=1e-30, high=1e99)}, DATA,
                       "the reference refuses a start at"),
+    "scale of a table": ({"thresholds": {"law": "table", "file": "data.csv"}}, {"free": bounds("thresholds.scale")},
+                         DATA, "fit.free.thresholds.scale: cannot be fitted; give thresholds in"),
     "n of a table": ({"thresholds": {"law": "table", "file": "data.csv"}},
                      {"free": {"thresholds.n": {"bounds": [0, 9], "transform": "log1p"}}}, DATA,
                      'thresholds.law = "table"'),

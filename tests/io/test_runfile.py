@@ -26,7 +26,7 @@ from eqsim import (
 from eqsim.errors import require_integer, require_number
 from eqsim.io import schema
 from eqsim.io.parameters import keys, parameters
-from eqsim.io.runfile import at, check, stored
+from eqsim.io.runfile import at, check, opened, stored
 from eqsim.io.storage import provenance
 from eqsim.io.tables import read_thresholds
 from eqsim.laws.named import THRESHOLDS, threshold_parameters
@@ -446,6 +446,67 @@ def test_bad_columns_and_scales(tmp_path, changes, message):
     assert message in str(caught.value)
 
 
+NM = 'thresholds.file = {}: column "{}" is in {}, [units] says um'
+SCALED = NM + "; thresholds.scale = {} converts"
+
+
+@pytest.mark.parametrize(
+    ("content", "more", "said"),
+    [
+        ("threshold (nm)\n800\n", {}, ("threshold (nm)", "nm", "0.001")),
+        ("threshold,b\n[nm],s\n800,1\n9,1\n", {}, ("threshold", "nm", "0.001")),
+        ("threshold [Å]\n800\n", {}, ("threshold [Å]", "Å", "0.0001")),
+        ("threshold (N)\n8\n", {}, ("threshold (N)", "N")),
+        ("threshold (um)\n800\n", {}, ()),
+        ("threshold (µm)\n800\n", {}, ()),
+        ("threshold (N)\n800\n", {"quantity": "force"}, ()),
+        ("threshold (sample)\n800\n", {}, ()),
+        ("threshold (nm)\n800\n", {"scale": 1.0}, ()),
+    ],
+)
+def test_units_of_thresholds_are_those_of_the_run_file(content, more, said, tmp_path):
+    """Unless a scale is given. Without [units] nothing is compared, nor where a run is
+    repeated."""
+    (tmp_path / "x.csv").write_text(content, encoding="utf-8")
+    data = {"thresholds": {"law": "table", "file": "x.csv", **more}}
+    united = {"units": {"length": "um", "force": "N"}} | data
+    assert check(data, tmp_path).ensemble.thresholds.steps[-1] == 800 or said
+    repeated = at(stored(check(united).settings, tmp_path), {"thermal.kT": 0.1})
+    assert repeated.ensemble.thresholds == check(data, tmp_path).ensemble.thresholds
+    if not said:
+        assert check(united, tmp_path).ensemble.thresholds.steps.tolist() == [800.0]
+        return
+    with pytest.raises(InputError) as caught:
+        _ = check(united, tmp_path).ensemble
+    form = SCALED if len(said) == 3 else NM
+    assert str(caught.value) == form.format(tmp_path / "x.csv", *said)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        ("t (ms),X (um)", '"t (ms)" is in ms, [units] says s'),
+        ("t (s),X (mm)", '"X (mm)" is in mm, [units] says um'),
+        ("t,X\ns,mm", '"X" is in mm, [units] says um'),
+        ("t (s),X (um)", ""),
+        ("t (laps),X (V)", ""),
+    ],
+)
+def test_units_of_a_recorded_drive_are_those_of_the_run_file(names, said, tmp_path):
+    (tmp_path / "x.csv").write_text(f"{names}\n0,0\n2,1\n")
+    data = {"drive": {"file": "x.csv"}}
+    united = {"units": {"length": "um", "time": "s"}} | data
+    bare = check(data, tmp_path).drive
+    assert stored(check(united).settings, tmp_path).drive == bare
+    if not said:
+        assert check(united, tmp_path).drive == bare
+        return
+    with pytest.raises(InputError) as caught:
+        _ = check(united, tmp_path).drive
+    where = f"drive.file = {tmp_path / 'x.csv'}"
+    assert str(caught.value) == f"{where}: column {said}"
+
+
 def test_changes(tmp_path):
     path = tmp_path / "run.toml"
     path.write_text("[drive]\nvelocity = 0.1\n")
@@ -507,13 +568,33 @@ def test_a_programme_in_a_run_file(tmp_path):
         {"hold": 1e3, "points": 7},
         {"velocity": -1, "time": 2},
         velocity=2,
+        start="stationary",
     )
     expected = Programme(
         [Segment(0.1, 5.0), Segment(0.0, None, 1e3, 7), Segment(-1.0, None, 2.0)],
-        "fresh",
+        "stationary",
         2.0,
     )
     assert check(data, tmp_path).drive == expected
+
+
+@pytest.mark.parametrize("course", ["programme", "file"])
+def test_a_velocity_that_a_programme_does_not_use_is_refused(course, tmp_path):
+    """It is that of a stationary start. Beside a start that is given it may stand, as
+    the other start is chosen by that key alone, but not be changed."""
+    (tmp_path / "x.csv").write_text("t,X\n0,0\n2,1\n")
+    drive = programme({"velocity": 0.1, "time": 2.0})["drive"]
+    drive = {"velocity": 5.0} | (drive if course == "programme" else {"file": "x.csv"})
+    said = r"^drive.velocity = 5.0: not allowed with a programme or file, unless"
+    fresh = {"drive": drive | {"start": "fresh"}}
+    with pytest.raises(InputError, match=said):
+        _ = check({"drive": drive}, tmp_path).drive
+    with pytest.raises(InputError, match=said):
+        opened(check(fresh, tmp_path), changes={"drive.velocity": 5.0})
+    assert check(fresh, tmp_path).drive.start == "fresh"
+    moving = at(check(fresh, tmp_path), {"drive.start": "stationary"})
+    assert moving.drive.velocity_before == 5.0
+    assert stored(check({"drive": drive}).settings, tmp_path).drive.start == "fresh"
 
 
 def test_a_recorded_drive(tmp_path):

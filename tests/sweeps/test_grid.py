@@ -179,6 +179,24 @@ def test_identity_depends_on_what_a_value_depends_on(monkeypatch):
     assert all(0 <= seed_of(i) < 2**63 for i in ("f" * 64, "0" * 64, *ids_))
 
 
+STEP = "[drive]\nprogramme = [{ velocity = 0.1, distance = 1.0 }]\n"
+
+
+def test_a_velocity_that_a_point_does_not_use_is_refused():
+    """As an axis it looks as if values depended on it, which have other seeds only."""
+    axis = '"drive.velocity" = [0.1, 1.0]'
+    for start in ("", 'start = "fresh"\n'):
+        with pytest.raises(
+            InputError, match=r"point 1 of 2: drive.velocity = 0.1: not"
+        ):
+            grid(axis, STEP + start)
+    assert len(grid(axis, STEP + 'start = "stationary"\n')) == 2
+    starts = '"drive.start" = ["fresh", "stationary"]'
+    assert len(grid(starts, STEP + "velocity = 0.1\n")) == 2
+    with pytest.raises(InputError, match=r"point 1 of 4: drive.velocity = 0.1: not"):
+        grid(f"{axis}\n{starts}", STEP)
+
+
 def test_seeds_of_points_differ():
     """They have 63 bits: two of 3e5 points share one with probability 5e-9, and with 31
     bits a score would."""
