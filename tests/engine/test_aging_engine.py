@@ -967,6 +967,9 @@ def test_what_steps_cost_depends_on_relaxations_in_the_final_scale():
         ]
         assert same == pytest.approx([same[0]] * 6, rel=1e-12, abs=0)
     assert error(1e4, 1.0, 0.5) < error(1e4, 1.0)
+    # by how much mean lives were measured to be too long
+    for relaxed, measured in ((1e3, 4.0e-3), (1e4, 1.7e-2), (1e5, 3.8e-2)):
+        assert measured < error(relaxed, 1.0) < 2.0 * measured
 
 
 @pytest.mark.long
