@@ -99,7 +99,8 @@ class RunFile(Listed):
     repeats: bool = field(default=False, repr=False, compare=False)
     unlisted: ClassVar[tuple[str, ...]] = (
         *("constant_drive", "driven_by", "headline", "physical"),
-        *("preferred", "pulled", "quantities_in", "rows", "sweep_settings"),
+        *("preferred", "pulled", "quantities_in", "repeats", "rows"),
+        "sweep_settings",
     )
 
     def __getitem__(self, key: str) -> Any:
