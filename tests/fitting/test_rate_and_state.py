@@ -151,15 +151,17 @@ def test_what_comes_later_does_not_count(monkeypatch):
     law = RateAndState(0.005, 0.015, 10.0, 0.0005, "aging", 0.6, damping=1e-3)
     step = Segment(1.2, time=2000.0)
     long, late = Programme([step, Segment(1.3, time=1e9)], velocity=1.0), 2000.0
-    fine = law.friction(long, np.linspace(0.0, late, 1001))
+    times = [*np.linspace(0.0, late, 1001), late + 1.0]
+    fine = law.friction(long, times)
     np.testing.assert_allclose(
-        law.friction(long, [0.0, 20.0, late]), fine[[0, 10, -1]], rtol=0, atol=1e-7
+        law.friction(long, [0.0, 20.0, late, late + 1.0]),
+        fine[[0, 10, -2, -1]],
+        rtol=0,
+        atol=1e-7,
     )
     assert np.ptp(fine) > 0.02  # it does slip
     monkeypatch.setattr("eqsim.rate_and_state._MOST_STEPS", 1000)
-    np.testing.assert_allclose(
-        law.friction(long, np.linspace(0.0, late, 1001)), fine, rtol=0, atol=1e-12
-    )
+    np.testing.assert_allclose(law.friction(long, times), fine, rtol=0, atol=1e-12)
     with pytest.raises(
         InputError, match="times: stick-slip takes more than 1000 steps"
     ):

@@ -23,8 +23,8 @@ _NEGLIGIBLE = 37.0
 _DEEPEST = 1000
 # Halvings made in any case where a stretch relaxes under a falling threshold.
 _RELAXING = 4
-# Rounding of E over that at stretch 0: 9 units in the last place, of threshold, stretch
-# and their difference.
+# Rounding of E over a xi^2: 9 units in the last place, of threshold, stretch and their
+# difference.
 _ROUNDING = 2e-15
 # Share of an interval that a golden section leaves.
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
@@ -88,8 +88,9 @@ def _follow(c: _Path, clock: float) -> tuple[float, float]:
     born, left = _at(c, 0.0)
     final = _at(c, top)[0]
     greatest = max(born, final)
-    a = c.barrier.b * kappa_at(law, c.springs, c.xi, greatest)
-    noise = _ROUNDING * abs(height(c.barrier, greatest, 0.0, a))
+    noise = _ROUNDING * c.barrier.b * kappa_at(law, c.springs, c.xi, greatest)
+    noise *= greatest
+    noise *= greatest
     most = _RANGE + noise  # by which E may differ within a cell
     coarse = _RELAXING if c.stretch < 0.0 and final < born else 0
     spent, level, index = 0.0, 0, 0
