@@ -16,7 +16,7 @@ from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar, cast, overloa
 from numpy.typing import ArrayLike
 
 from eqsim.engine.records import ProgrammeTrajectory, Trajectory
-from eqsim.errors import InputError, shown
+from eqsim.errors import InputError, require_threads, shown
 from eqsim.io.runfile import RunFile, opened
 from eqsim.io.units import Interface, Quantity, Units, quantities
 from eqsim.master.steady import Curve
@@ -133,6 +133,7 @@ def accepts_run_file(
         if changes is not None and file is None:
             said = "those of a run file; dataclasses.replace changes an Ensemble"
             raise InputError(f"changes = {shown(changes)}: are {said}")
+        require_threads(given.get("threads", 1))
         result: Any = function(source, drive, *args, **given)
         tell_quantities(result, told)
         return result

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from eqsim.errors import InputError, require_choice, shown
+from eqsim.errors import InputError, require_choice, require_threads, shown
 from eqsim.model.drive import Output
 from eqsim.model.ensemble import Ensemble
 from eqsim.numerics.streams import seed_named
@@ -221,6 +221,7 @@ def validate(
     """
     require_choice("suite", suite, (*SUITES,))
     Output(seed=seed)
+    require_threads(threads)
     plan, every = SUITES[suite], Found()
     part = first, step = _part_of(part, plan.points + plan.chains)
     linked = range(first, plan.chains, step)

@@ -21,7 +21,7 @@ from eqsim.engine.records import (
 )
 from eqsim.engine.steady import Steady, steady
 from eqsim.engine.trajectory import check_run, trajectory
-from eqsim.errors import InputError
+from eqsim.errors import InputError, require_threads
 from eqsim.estimate import Estimate, known
 from eqsim.io.runfile import RunFile, opened
 from eqsim.io.states import States, kept
@@ -546,6 +546,7 @@ def run(
     >>> result.trajectory.X.tolist(), result.steady.reached
     ([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], True)
     """
+    require_threads(threads)
     file = opened(file, folder)
     ensemble, drive, output = file.ensemble, file.drive, file.output
     chain = isinstance(drive, Programme) and drive.chain

@@ -34,11 +34,13 @@ from eqsim import (
     Units,
     reference,
     steady,
+    trajectory,
 )
 from eqsim.cli.app import app
 from eqsim.materials import STEEL, ActivatedAging
 
 ROOT = Path(__file__).parents[2]
+STEADY = Ensemble(count=10), Drive(0.1)
 TWO = np.array([1.0, 2.0])
 SEVERAL = Ensemble(thermal=Thermal(0.1), populations=[Population(0.5, stiffness=2.0)])
 USER = """\
@@ -158,6 +160,13 @@ def test_public_names():
         ),
         (lambda: SEVERAL.b, "population: these are numbers of one kind"),
         (lambda: SEVERAL.crossover_velocity, "population: these are numbers of one"),
+        *(
+            (lambda threads=threads: steady(*STEADY, threads=threads), "threads = ")
+            for threads in (0, -1, True, 1.5, "2", None)
+        ),
+        (lambda: trajectory(*STEADY, threads=0), "threads = 0: must be an integer fr"),
+        (lambda: eqsim.run("x.toml", threads="2"), "threads = '2': must be an integer"),
+        (lambda: eqsim.validate(threads=0), "threads = 0: must be an integer from 1"),
         (lambda: Delay(TWO), "time = array([1., 2.]): must be a finite number"),
         (lambda: Aging("flow", TWO), "rate = array([1., 2.]): must be a finite"),
         (
