@@ -1859,6 +1859,8 @@ MISTAKES = [
       "test_aging_engine.py::test_what_steps_cost_depends_on_relaxations_in_the_final_scale"),
     M("design: measurements of the first set", "fitting/design.py", "asked if asked in sets else sets[0]", "sets[0]",
       "test_design.py::test_measurements_belong_to_the_set_whose_scale_is_asked_for"),
+    M("load: numbers of segments have fractions", "model/load.py", "(*x.shape[:-1], births.since), x.dtype)",
+      "(*x.shape[:-1], births.since))", "test_load.py::test_simulation_beside_the_reference"),
     M("design: populations inherit nothing", "fitting/design.py", "varied.isdisjoint((key, inherited))",
       "varied.isdisjoint((key,))", "test_design.py::test_populations_inherit_what_is_free"),
     M("design: files by their name", "fitting/design.py", "str((file.folder / value).resolve())", "value",

@@ -196,7 +196,7 @@ def _padded(births: Added, result: Any) -> Any:
             along, errors[field.name + "_error"] = _mean_so_far(along)
         along = along[..., steps % births.parts :: births.parts]
         x = np.concatenate((along, x[..., steps + 1 :]), axis=-1)
-        before = np.zeros((*x.shape[:-1], births.since))
+        before = np.zeros((*x.shape[:-1], births.since), x.dtype)
         there = x[..., x.shape[-1] - points :]
         padded[field.name] = np.concatenate((before, there), axis=-1)
     for name in errors.keys() & padded.keys():

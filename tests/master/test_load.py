@@ -122,6 +122,8 @@ def test_simulation_beside_the_reference():
         wrong.append(((run.force - constant.force) / error)[ends])
         np.testing.assert_allclose(run.pinned, 1.0, rtol=0, atol=1e-12)
         assert [s.end.value for s in run.segments] == run.force[ends].tolist()
+        assert run.segment.dtype.kind == "i"
+        assert run.segment[ends].tolist() == [0, 1, 2, 3, 4]
     assert np.abs(z).max() < 4.5
     assert abs(np.mean(np.square(z)) - 1.0) < 4.5 * 0.22
     assert np.abs(wrong)[:, 1:].max() > 10.0
