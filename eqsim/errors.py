@@ -138,10 +138,10 @@ def require_integer(field: str, value: int, least: int, most: int) -> None:
 
 
 def require_threads(threads: Any) -> None:
-    """Raise InputError unless `threads` is an integer from 1 to 1024; an executor with
-    its number of workers passes."""
+    """Raise InputError unless `threads` is an integer from 0, which is one as well, to
+    1024; an executor with its number of workers passes."""
     if not isinstance(threads, tuple):
-        require_integer("threads", threads, 1, 1024)
+        require_integer("threads", threads, 0, 1024)
 
 
 def require_choice(field: str, value: str, allowed: tuple[str, ...]) -> None:
