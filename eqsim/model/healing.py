@@ -47,13 +47,24 @@ class Healing(NamedTuple):
         found = {"rate": self.rate.as_dict(), "cutoff": self.cutoff.as_dict()}
         return {**self._asdict(), **found, "logarithmic": self.logarithmic}
 
+    def parts(
+        self, units: tuple[str, str], rate: Estimate | None = None
+    ) -> tuple[str, str, str]:
+        """The rate, or `rate` in another quantity, and the cutoff with their units, and
+        ", unreliable" if one of them is."""
+        both = rate or self.rate, self.cutoff
+        slope, time = (
+            f"{replace(one, reliable=True)} {unit}".rstrip()
+            for one, unit in zip(both, units, strict=True)
+        )
+        return slope, time, "" if all(one.reliable for one in both) else ", unreliable"
+
     def told(self, rate: Estimate | None = None, unit: str = "") -> str:
         """The law in words; `rate` in another quantity, `unit` of time."""
-        rate, cutoff = rate or self.rate, self.cutoff
-        slope, time = (replace(one, reliable=True) for one in (rate, cutoff))
-        said = f"{slope} per decade, logarithmic beyond {time} {unit}".strip()
+        slope, time, unsure = self.parts(("", unit), rate)
+        said = f"{slope} per decade, logarithmic beyond {time}"
         doubt = "" if self.logarithmic else ": no logarithm within errors"
-        doubt += "" if rate.reliable and cutoff.reliable else ", unreliable"
+        doubt += unsure
         return f"{said} (chi-square {self.chi_square:.3g} of {self.dof}{doubt})"
 
 

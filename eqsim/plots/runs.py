@@ -1,6 +1,5 @@
 """Pictures of runs and of exact curves."""
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -268,11 +267,7 @@ def draw_healing(
 ) -> None:
     """Draw a logarithm through healing after holds, in units of healing and of time."""
     t = np.geomspace(hold.min(), hold.max(), 100)
-    doubt = "" if law.rate.reliable and law.cutoff.reliable else ", unreliable"
-    rate, cutoff = (
-        f"{replace(estimate, reliable=True)} {name}".rstrip()
-        for estimate, name in ((law.rate, unit), (law.cutoff, time_unit))
-    )
+    rate, cutoff, doubt = law.parts((unit, time_unit))
     label = f"{rate} per decade, beyond $t$ = {cutoff}{doubt}"
     axes.plot(t, law.at(t), color=color, linewidth=1, label=label)
 

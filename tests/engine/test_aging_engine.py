@@ -975,7 +975,7 @@ def test_what_steps_cost_depends_on_relaxations_in_the_final_scale():
 @pytest.mark.long
 @pytest.mark.parametrize(("rate", "final"), [(1e4, 1.0), (1e3, 0.1), (100.0, 0.1)])
 def test_fast_relaxation_towards_weaker_contacts(rate, final):
-    """What the steps cost is quoted (|z| < 4.5 beyond it for 2 averages: false alarm
+    """The cost of the steps is quoted (|z| < 4.5 beyond it for 2 averages: false alarm
     1e-5), and steps that are asked for 1 % cost a third of that."""
     aging = Aging("langevin", rate, final)
     ensemble = Ensemble(Gamma(1.0), aging=aging, stiffness_law="uniform")

@@ -240,7 +240,7 @@ def test_populations_inherit_what_is_free(folder):
 
 
 def test_keys_without_a_value_are_not_where_measurements_are_made(folder):
-    """As the temperature of a run file that has kT."""
+    """The temperature of a run file that has kT is one of them."""
     text = RUN.replace('temperature = "temperature"\n', "")
     text = text.replace("reference_temperature = 300.0\n", "").replace(
         '"thermal.kT" = { bounds = [1e-3, 20.0] }\n', ""

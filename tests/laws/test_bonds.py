@@ -799,9 +799,9 @@ def test_bonds_whose_off_rates_have_no_mean_are_described():
     ids=["plain", "logarithmic", "normal", "uniform"],
 )
 def test_thresholds_out_of_reach_do_not_count(heat, velocity, more):
-    """Of a quarter of all contacts, at 1e3 and at 1e20, where a stretch is lost in the
-    threshold less the stretch: in the reference, and of the engine |z| < 4.5 (by chance
-    one of the 12 fails in 1 of 12 000 runs)."""
+    """Thresholds of a quarter of all contacts, at 1e3 and at 1e20, where a stretch is
+    lost in the threshold less the stretch: in the reference, and of the engine |z| < 4.5
+    (by chance one of the 12 fails in 1 of 12 000 runs)."""
     found, drive = [], Drive(velocity)
     for top in (1e3, 1e20):
         law = Table([1e-3, 1.0, 2.0, top])

@@ -183,7 +183,7 @@ STEP = "[drive]\nprogramme = [{ velocity = 0.1, distance = 1.0 }]\n"
 
 
 def test_a_velocity_that_a_point_does_not_use_is_refused():
-    """As an axis it looks as if values depended on it, which have other seeds only."""
+    """An axis of it would look as if values depended on it: only seeds differ."""
     axis = '"drive.velocity" = [0.1, 1.0]'
     for start in ("", 'start = "fresh"\n'):
         with pytest.raises(
